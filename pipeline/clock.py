@@ -1,0 +1,64 @@
+"""The graph's clocks: integer nanoseconds that only move forward."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """What a driver asks the time of."""
+
+    def now(self) -> int:
+        """The graph's time, ns."""
+        ...
+
+    def seconds_until(self, instant: int) -> float:
+        """Real seconds from now until the graph's time reaches `instant`; <= 0 when it is past."""
+        ...
+
+
+class ScaledClock:
+    """Graph time that starts at `origin` and runs at `speed` times real time.
+
+    With `speed` 1 and the wall clock as origin this is the clock of a flight; with a recording's
+    first instant as origin it replays that recording.
+    """
+
+    def __init__(self, origin: int, speed: float = 1.0) -> None:
+        if not speed > 0:
+            raise ValueError(f"speed must be above 0, not {speed}")
+        self._origin = origin
+        self._speed = speed
+        self._start = time.monotonic_ns()
+
+    def now(self) -> int:
+        elapsed = time.monotonic_ns() - self._start
+        return self._origin + (elapsed if self._speed == 1.0 else int(elapsed * self._speed))
+
+    def seconds_until(self, instant: int) -> float:
+        return (instant - self.now()) / (1e9 * self._speed)
+
+
+def wall_clock() -> ScaledClock:
+    """Unix time in ns at the start, monotonic from there (a step of the system clock moves
+    nothing).""" return ScaledClock(time.time_ns())
+
+
+class ManualClock:
+    """Time that stands still until it is told to move: for tests, replay and planning."""
+
+    def __init__(self, now: int = 0) -> None:
+        self._now = now
+
+    def now(self) -> int:
+        return self._now
+
+    def seconds_until(self, instant: int) -> float:
+        return (instant - self._now) / 1e9
+
+    def advance_to(self, instant: int) -> None:
+        """Move to `instant`; raises ValueError if that lies in the past."""
+        if instant < self._now:
+            raise ValueError(f"time cannot run backward from {self._now} to {instant}")
+        self._now = instant

@@ -1,0 +1,172 @@
+"""The payloads that stages exchange: frozen values that state shape, dtype, unit and frame once.
+
+Frames: `sensor` is the sensor's own (cameras: x right, y down, z forward; LiDARs: x forward, y
+left, z up), `base` the vehicle's body, `map` the fixed frame of the odometry. ``a_from_b`` takes
+points of b into a. Class scores have 16 channels (one cache line of float32): the taxonomy's
+classes and padding (`PADDING_LOG` in log arrays), so that a log-sum-exp ignores the padding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.message import Span
+
+CHANNELS = 16  #: width of a row of class scores
+PADDING_LOG = np.float32(-1e4)  #: log score of a padding channel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Image:
+    """A camera image in full resolution."""
+
+    data: (
+        NDArray[np.uint8] | NDArray[np.uint16]
+    )  #: (height, width, 3) RGB uint8, or (height, width) gray
+    camera: str  #: name in the calibration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthImage:
+    """Depth aligned to the pixels of `camera`."""
+
+    depth: NDArray[np.uint16]  #: (height, width), 0 = no depth
+    unit_m: float  #: metres per count
+    camera: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """One LiDAR scan in the sensor's frame; a row of zeros or NaN is "no return"."""
+
+    points: NDArray[np.float32]  #: (n, 3) m
+    remission: NDArray[np.float32] | None  #: (n,) 0..1
+    times_ns: NDArray[np.int32] | None  #: (n,) ns after the message's stamp (negative before it)
+    shape: (
+        tuple[int, int] | None
+    )  #: (rows, columns) of an organised scan, points row by row; else None
+    sensor: str  #: name in the calibration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClassScores:
+    """Logits (or log-probabilities: both are "log scores") of one image, at any stride, in one or
+    more tiles.
+
+    Tile i covers the rectangle `rects[i]` of the image. With `align_corners` the outer grid cells
+    lie on the centres of the rectangle's corner pixels; without, the rectangle is divided evenly
+    into cells.
+    """
+
+    grid: (
+        NDArray[np.float32] | NDArray[np.int8] | NDArray[np.uint8]
+    )  #: (tiles, rows, columns, CHANNELS)
+    rects: NDArray[np.float32]  #: (tiles, 4) x0 y0 x1 y1: pixel edges in the full-resolution image
+    scale: float  #: log score = (grid - zero_point) * scale
+    zero_point: int
+    align_corners: bool
+    camera: str
+    size: tuple[int, int]  #: (width, height) of the full-resolution image
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """Boxes in full-resolution pixels of `camera`."""
+
+    boxes: NDArray[np.float32]  #: (n, 4) x0 y0 x1 y1, pixels
+    classes: NDArray[np.int64]  #: (n,) ids of the taxonomy
+    scores: NDArray[np.float32]  #: (n,) 0..1
+    camera: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """The vehicle's pose."""
+
+    map_from_base: NDArray[np.float64]  #: (4, 4)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Poses by stamp, to be interpolated."""
+
+    stamps: NDArray[np.int64]  #: (n,) ns, increasing
+    map_from_base: NDArray[np.float64]  #: (n, 4, 4)
+
+    @classmethod
+    def of(cls, poses: Span[Pose]) -> Trajectory:
+        """The trajectory of a span of pose messages."""
+        stamps = np.array([message.stamp for message in poses], dtype=np.int64)
+        matrices = np.array([message.payload.map_from_base for message in poses], dtype=np.float64)
+        return cls(stamps, matrices.reshape(-1, 4, 4))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """Points with class evidence, in the sensor's frame."""
+
+    points: NDArray[np.float32]  #: (n, 3) m
+    log_scores: NDArray[np.float32]  #: (n, CHANNELS) log scores up to a constant per point
+    evidence: NDArray[np.bool_]  #: (n,) False: no source said anything of this point (unlabelled)
+    map_from_sensor: (
+        NDArray[np.float64] | None
+    )  #: (4, 4) at the message's stamp, where poses are known
+    sensor: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SemanticVoxels:
+    """A snapshot of the semantic map, in the map frame; voxels in the order of their first hit."""
+
+    voxel_m: float  #: edge length
+    indices: NDArray[np.int32]  #: (n, 3) floor(position / voxel_m)
+    positions: NDArray[np.float32]  #: (n, 3) mean of the points in the voxel, m
+    log_scores: NDArray[np.float32]  #: (n, CHANNELS), maximum 0
+    counts: NDArray[np.int32]  #: (n,) points integrated
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A pinhole camera with radial-tangential distortion; the integer pixel is the pixel's
+    centre."""
+
+    size: tuple[int, int]  #: (width, height), pixels
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float] = (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )  #: k1 k2 p1 p2 k3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorCalibration:
+    """Where a sensor sits, and its camera model if it has one."""
+
+    base_from_sensor: NDArray[np.float64]  #: (4, 4)
+    camera: Camera | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """All sensors by name. A stage gets it by annotating an `__init__` parameter ``calibration:
+    Calibration``."""
+
+    sensors: Mapping[str, SensorCalibration] = field(default_factory=dict)
+
+    def sensor(self, name: str) -> SensorCalibration:
+        """The named sensor; raises KeyError with the known names."""
+        try:
+            return self.sensors[name]
+        except KeyError:
+            known = ", ".join(sorted(self.sensors)) or "none"
+            raise KeyError(f"no calibration for sensor '{name}' (known: {known})") from None
