@@ -41,8 +41,8 @@ class ScaledClock:
 
 
 def wall_clock() -> ScaledClock:
-    """Unix time in ns at the start, monotonic from there (a step of the system clock moves
-    nothing).""" return ScaledClock(time.time_ns())
+    """Unix time in ns, monotonic from the call on: a step of the system clock moves nothing."""
+    return ScaledClock(time.time_ns())
 
 
 class ManualClock:

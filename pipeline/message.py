@@ -61,5 +61,5 @@ class Message(Generic[T]):
         return replace(self, payload=payload)
 
 
-#: What an input with ``sync: span`` receives: the messages around every instant of the set, by
-stamp.Span: TypeAlias = tuple[Message[T], ...]
+#: What an input with ``sync: span`` receives: the messages around every instant, by stamp.
+Span: TypeAlias = tuple[Message[T], ...]

@@ -97,8 +97,8 @@ class Source(Stage):
     """
 
     def messages(self) -> Iterator[Message[Any]]:
-        """Subclasses narrow the annotation: ``Iterator[Message[Scan]]`` declares the payload
-        type.""" raise NotImplementedError
+        """Subclasses narrow the annotation; ``Iterator[Message[Scan]]`` declares the payload."""
+        raise NotImplementedError
 
     def timing(self) -> Timing | None:
         """Nominal rate and delay where they are known before the run."""
@@ -106,9 +106,8 @@ class Source(Stage):
 
 
 def ports(cls: C) -> C:
-    """Mark a frozen dataclass as a set of output ports: one per field, None = nothing on that
-    port.""" if not is_dataclass(cls) or not cls.__dataclass_params__.frozen:  # type:
-    ignore[attr-defined]
+    """Mark a frozen dataclass as a set of output ports: one per field, None = nothing on it."""
+    if not is_dataclass(cls) or not cls.__dataclass_params__.frozen:  # type: ignore[attr-defined]
         raise TypeError(f"@ports belongs on a frozen dataclass; {cls.__name__} is not one")
     cls.__ports__ = tuple(cls.__dataclass_fields__)  # type: ignore[attr-defined]
     return cls

@@ -53,7 +53,9 @@ class Refusal(StrEnum):
 
     BACKWARD = "backward"  #: stamp not above the port's last
     EARLY = "early"  #: stamp below the bound that the source promised
-    EXTENT = "extent"  #: begin or end further from the stamp than MAX_EXTENT_NS, or on its wrong side
+    EXTENT = (
+        "extent"  #: begin or end further from the stamp than MAX_EXTENT_NS, or on its wrong side
+    )
     ENDED = "ended"  #: the stream has ended
 
 
@@ -82,7 +84,7 @@ class InputSet:
 class Run:
     """One run of a stage: owned by the scheduler, handed to the executor and back.
 
-    `result` carries what one step leaves for the next (tensors, outputs) and belongs to the executor.
+    `result` is what one step leaves for the next (tensors, outputs); it belongs to the executor.
     """
 
     stage: str
