@@ -1,0 +1,205 @@
+"""A graph file, checked and resolved: what a driver runs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from pipeline.errors import Mistake
+from pipeline.graph.binding import check_binding
+from pipeline.graph.catalog import Catalog
+from pipeline.graph.contract import Contract
+from pipeline.graph.load import load_tree
+from pipeline.graph.nodes import Mark, Node
+from pipeline.graph.parameters import resolve_parameters
+from pipeline.graph.parts import PartMaker, StagePart
+from pipeline.graph.report import Report
+from pipeline.graph.shape import check_shape
+from pipeline.graph.spec import StageSpec
+from pipeline.graph.structure import check_structure
+from pipeline.graph.timing import check_timing
+from pipeline.graph.wiring import Wirer
+from pipeline.model import Accelerator, ModelSpec
+from pipeline.scheduling.topology import Input, OnError, StageNode, Topology
+from pipeline.stage import Source, Stage
+
+
+@dataclass(frozen=True, slots=True)
+class GraphStage:
+    """A stage of the file: its class, and all that is needed to make one."""
+
+    name: str
+    use: str  #: ``module:Class``
+    cls: type[Stage]
+    contract: Contract
+    options: Mapping[str, Any]  #: checked arguments of the class, with its calibration
+    model: str | None
+    ladder: tuple[str, ...]  #: devices, first preferred; empty without a model
+    position: Mark  #: where its name stands
+
+    def make(self) -> Stage:
+        """A fresh instance."""
+        return self.cls(**self.options)
+
+
+@dataclass(frozen=True, slots=True)
+class GraphDevice:
+    """A device of the file."""
+
+    name: str
+    use: str  #: ``module:Class``
+    cls: type[Accelerator]
+    options: Mapping[str, Any]  #: checked arguments of the class
+
+    def make(self) -> Accelerator:
+        """A fresh instance, which has opened nothing."""
+        return self.cls(**self.options)
+
+
+@dataclass(frozen=True, slots=True)
+class Graph:
+    """A graph file without mistakes."""
+
+    name: str
+    file: Path
+    stages: tuple[GraphStage, ...]  #: in the order of the file, as in `topology`
+    devices: Mapping[str, GraphDevice]
+    models: Mapping[str, ModelSpec]  #: those that the stages use
+    topology: Topology  #: the same stages as the scheduler sees them
+    parameters: Mapping[str, Any]
+    warnings: tuple[Mistake, ...]
+
+    def stage(self, name: str) -> GraphStage:
+        """The named stage; raises LookupError."""
+        for stage in self.stages:
+            if stage.name == name:
+                return stage
+        raise LookupError(name)
+
+
+def load_graph(
+    path: Path,
+    *,
+    catalog: Catalog,
+    overlays: Sequence[Path] = (),
+    settings: Sequence[str] = (),
+    out: Path = Path("out"),
+) -> Graph:
+    """Read a graph file, lay `overlays` and then `settings` (``a.b.c=value``) over it, and check
+    all that can be known before the run.
+
+    `out` is what ``$out`` stands for. Every class is imported and made once; nothing is opened.
+    Raises GraphError with all mistakes, in the order of the files.
+    """
+    report = Report()
+    tree = load_tree(path, overlays, settings, report)
+    tree, used = resolve_parameters(tree, out, report)
+    report.tree = tree
+    spec, damaged = check_shape(tree, report)
+
+    maker = PartMaker(tree, report)
+    devices = {name: maker.device(name, device.use) for name, device in spec.devices.items()}
+    parts = {name: maker.stage(name, stage.use) for name, stage in spec.stages.items()}
+
+    # What could not be read is still known by name, so that what refers to it is no mistake too.
+    all_devices = {**dict.fromkeys(report.entries(("devices",))), **devices}
+    contracts: dict[str, Contract | None] = dict.fromkeys(report.entries(("stages",)))
+    contracts |= {name: part.contract for name, part in parts.items() if part is not None}
+
+    wirer = Wirer(contracts, damaged, report)
+    nodes: list[StageNode] = []
+    for name, stage in spec.stages.items():
+        if (part := parts[name]) is not None:
+            contract = part.contract
+            check_binding(name, stage, contract, all_devices, catalog, damaged, report)
+            _check_role(name, stage, contract, report)
+            nodes.append(_node(name, stage, part, wirer.inputs(name, stage, contract)))
+    check_structure(nodes, report)
+    report.raise_mistakes()
+
+    made = [(node, part) for node in nodes if (part := parts[node.name]) is not None]
+    assert all(part.instance is not None for _, part in made), "a stage without its mistake"
+    sources = {node.name: part.instance for node, part in made if isinstance(part.instance, Source)}
+    check_timing(nodes, sources, report)
+    _warn_unused_parameters(tree, used, report)
+    return Graph(
+        name=spec.graph,
+        file=path,
+        stages=tuple(_stage(node, part, spec.stages[node.name], tree) for node, part in made),
+        devices=MappingProxyType(
+            {
+                name: GraphDevice(name, device.use, device.cls, device.options)
+                for name, device in devices.items()
+                if device is not None
+            }
+        ),
+        models=MappingProxyType(
+            {
+                stage.model: catalog.spec(stage.model)
+                for stage in spec.stages.values()
+                if stage.model
+            }
+        ),
+        topology=Topology(tuple(nodes), workers=len(os.sched_getaffinity(0))),
+        parameters=MappingProxyType(
+            {name: node.plain() for name, node in report.entries(("parameters",)).items()}
+        ),
+        warnings=report.warnings,
+    )
+
+
+def _check_role(name: str, spec: StageSpec, contract: Contract, report: Report) -> None:
+    """Keys that only a source has, and keys that a source cannot have."""
+    if not contract.is_source:
+        if spec.min_period_ms is not None:
+            what = "'min_period_ms' is the promise of a source; for an input there is 'rate_hz'"
+            report.mistake(("stages", name, "min_period_ms"), what, at_key=True)
+        return
+    for key in ("priority", "max_in_flight", "run"):
+        if getattr(spec, key) is not None:
+            what = f"'{key}' has no effect on a source, which has no runs; remove it"
+            report.mistake(("stages", name, key), what, at_key=True)
+
+
+def _node(name: str, spec: StageSpec, part: StagePart, inputs: tuple[Input, ...]) -> StageNode:
+    contract = part.contract
+    min_period_ms = spec.min_period_ms
+    return StageNode(
+        name=name,
+        inputs=inputs,
+        outputs=tuple(port.name for port in contract.outputs),
+        devices=spec.executor or (),
+        # One run prepares while the device works for the other.
+        max_in_flight=spec.max_in_flight or (2 if contract.is_model else 1),
+        priority=spec.priority or 0,
+        inline=part.cls.inline,
+        stateless=part.cls.stateless,
+        on_error=spec.on_error or OnError.STOP,
+        min_period=None if min_period_ms is None else round(min_period_ms * 1e6),
+    )
+
+
+def _stage(node: StageNode, part: StagePart, spec: StageSpec, tree: Node) -> GraphStage:
+    written = tree.get("stages", node.name)
+    assert written is not None
+    return GraphStage(
+        name=node.name,
+        use=part.use,
+        cls=part.cls,
+        contract=part.contract,
+        options=MappingProxyType(dict(part.options)),
+        model=spec.model,
+        ladder=node.devices,
+        position=written.key or written.mark,
+    )
+
+
+def _warn_unused_parameters(tree: Node, used: frozenset[str], report: Report) -> None:
+    for name, node in report.entries(("parameters",)).items():
+        # An included file may offer parameters that this graph does not need.
+        if name not in used and node.mark.origin.order == tree.mark.origin.order:
+            report.warn(("parameters", name), f"nothing uses ${name}")

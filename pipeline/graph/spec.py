@@ -1,0 +1,208 @@
+"""The graph file's keys, what each takes and what it means; the JSON schema is made of this."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.scheduling.topology import Missing, OnError, Policy, Sync
+
+_MAX_MS = 86_400_000  #: a day; nothing in a graph waits longer
+_NAME = r"^[A-Za-z_][A-Za-z0-9_-]*$"
+_PARAMETER = r"^[A-Za-z_][A-Za-z0-9_]*$"
+_USE = r"^[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*:[A-Za-z_][A-Za-z0-9_]*$"
+
+#: What a text that does not match one of these patterns should have been.
+PATTERNS = {
+    _NAME: "is no name; use letters, digits, '_' and '-', and a letter first",
+    _PARAMETER: "is no name of a parameter; use letters, digits and '_', and a letter first",
+    _USE: "names no class; write module:Class",
+}
+
+Name = Annotated[str, Field(pattern=_NAME)]
+Use = Annotated[str, Field(pattern=_USE)]
+Milliseconds = Annotated[float, Field(ge=0, le=_MAX_MS)]
+
+
+class Spec(BaseModel):
+    """A mapping of the file with keys of its own."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class QueueSpec(Spec):
+    """What waits between an output and the stage that it triggers."""
+
+    policy: Policy = Field(
+        Policy.LATEST,
+        description="What a full queue does: latest (keep one, the newest), drop_oldest, "
+        "drop_newest, or block (hold the producer back).",
+    )
+    size: int = Field(1, ge=1, le=100_000, description="How many messages may wait.")
+
+
+class InputSpec(Spec):
+    """An input port: where its messages come from and how they take part in a run."""
+
+    source: tuple[str, ...] = Field(
+        alias="from",
+        min_length=1,
+        description="The output that feeds it: a stage, or stage/port. A list where the port "
+        "takes several edges.",
+    )
+    sync: Sync = Field(
+        Sync.TRIGGER,
+        description="trigger (default): its messages start the runs. exact: the message of the "
+        "trigger's stamp. nearest: the nearest within tolerance_ms. latest: the last one at or "
+        "before the trigger. span: all messages around the set.",
+    )
+    select: str | None = Field(
+        None,
+        min_length=1,
+        description="Trigger only: inputs of one output with the same word take the same frames.",
+    )
+    tolerance_ms: Milliseconds | None = Field(
+        None, description="nearest: the furthest stamp from the trigger's, inclusive."
+    )
+    offset_ms: Annotated[float, Field(ge=-_MAX_MS, le=_MAX_MS)] | None = Field(
+        None, description="Added to this input's stamps before they are compared."
+    )
+    max_wait_ms: Milliseconds | None = Field(
+        None,
+        description="How long a set waits for this input, from the trigger's arrival. Default 200 "
+        "for nearest and span, twice the trigger's period for exact.",
+    )
+    max_age_ms: Milliseconds | None = Field(
+        None, description="Trigger only: a message older than this is dropped before it costs work."
+    )
+    missing: Missing | None = Field(
+        None,
+        description="Without a message: proceed (None; the default where the port may be None), "
+        "hold (the last one, up to hold_ms old), or skip (drop the set; the default otherwise).",
+    )
+    hold_ms: Milliseconds | None = Field(
+        None, description="missing: hold: how old the held message may be."
+    )
+    queue: QueueSpec | None = Field(
+        None, description="Trigger only: what waits for the stage. Default: the latest message."
+    )
+    rate_hz: Annotated[float, Field(ge=0.001, le=1_000_000)] | None = Field(
+        None, description="Let through at most so many messages a second, evenly by stamp."
+    )
+
+
+class StageSpec(Spec):
+    """A stage: a class, its options, its inputs, and the device it runs on."""
+
+    use: Use = Field(description="The class, as module:Class.")
+    options: Mapping[str, Any] = Field(
+        default_factory=dict, description="What the class takes: see `overflight inspect`."
+    )
+    executor: tuple[str, ...] | None = Field(
+        None,
+        min_length=1,
+        description="The device, or a list to degrade along: the first is preferred.",
+    )
+    model: str | None = Field(None, description="A name in the model registry.")
+    inputs: Mapping[str, InputSpec] = Field(
+        default_factory=dict,
+        description="Where each input port's messages come from. Short form: image: rgb.",
+    )
+    on_error: OnError | None = Field(
+        None, description="A failed run: stop the stage (default), or skip it and count."
+    )
+    priority: Annotated[int, Field(ge=-1000, le=1000)] | None = Field(
+        None, description="Higher first on a shared device or core. Default 0."
+    )
+    max_in_flight: Annotated[int, Field(ge=1, le=64)] | None = Field(
+        None, description="Runs started and not finished. Default 1, with a model 2."
+    )
+    run: Literal["every"] | None = Field(None, description="Which triggers to run on: every one.")
+    min_period_ms: Annotated[float, Field(gt=0, le=_MAX_MS)] | None = Field(
+        None,
+        description="Sources only: the promise that stamps lie at least so far apart; others then "
+        "wait less for this stream.",
+    )
+
+
+class DeviceSpec(Spec):
+    """A device: the accelerator class, and its options beside it."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    use: Use = Field(description="The accelerator class, as module:Class.")
+
+
+class GraphSpec(Spec):
+    """A graph of stages, bound to devices."""
+
+    overflight: Literal[1] = Field(description="The version of this file format.")
+    graph: Annotated[str, Field(min_length=1, description="The name of the graph.")]
+    include: tuple[str, ...] = Field(
+        (), description="Files that lie under this one; what stands here wins."
+    )
+    parameters: Mapping[Annotated[str, Field(pattern=_PARAMETER)], Any] = Field(
+        default_factory=dict,
+        description="Values that $name stands for; change them with --set parameters.name=value.",
+    )
+    devices: Mapping[Name, DeviceSpec] = Field(
+        default_factory=dict, description="The hardware, by the names that executors use."
+    )
+    calibration: Mapping[str, Any] | None = Field(
+        None, description="The sensors by name, or {use: module:function, options: {...}}."
+    )
+    stages: Mapping[Name, StageSpec] = Field(description="The stages by name.")
+
+
+def graph_schema() -> dict[str, Any]:
+    """The JSON schema of the graph file, for editors: completion, hover text, red lines."""
+    schema = GraphSpec.model_json_schema()
+    stage = schema["$defs"]["StageSpec"]["properties"]
+    source = schema["$defs"]["InputSpec"]["properties"]["from"]
+    stage["inputs"]["additionalProperties"]["anyOf"] = [
+        *_ONE_OR_MORE,
+        {"$ref": stage["inputs"]["additionalProperties"].pop("$ref")},
+    ]
+    for short_form in (source, stage["executor"]):
+        description = short_form["description"]
+        short_form.clear()
+        short_form |= {"description": description, "anyOf": _ONE_OR_MORE}
+    schema["properties"]["stages"]["minProperties"] = 1
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **_for_editors(schema),
+        "title": "Overflight graph file",
+    }
+
+
+_ONE_OR_MORE = [{"type": "string"}, {"type": "array", "items": {"type": "string"}, "minItems": 1}]
+
+
+def _for_editors(schema: Any, *, names: bool = False) -> Any:
+    """Without pydantic's titles and nulls, and with ``$name`` wherever a value may stand.
+
+    `names`: the keys of this mapping are names of the file, not words of JSON schema.
+    """
+    if isinstance(schema, list):
+        return [_for_editors(item) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    made = {
+        key: _for_editors(value, names=not names and key in ("properties", "$defs"))
+        for key, value in schema.items()
+        if names or (key != "title" and (key, value) != ("default", None))
+    }
+    if names:
+        return made
+    if "anyOf" in made:
+        made["anyOf"] = [option for option in made["anyOf"] if option != {"type": "null"}]
+        if len(made["anyOf"]) == 1:
+            made |= made.pop("anyOf")[0]
+    if "patternProperties" in made:
+        made["additionalProperties"] = False
+    if "enum" in made or (made.get("type") in ("number", "integer") and "const" not in made):
+        value = {key: made.pop(key) for key in list(made) if key not in ("description", "default")}
+        made["anyOf"] = [value, {"type": "string", "pattern": r"^\$"}]
+    return made
