@@ -30,6 +30,10 @@ class ScaledClock:
             raise ValueError(f"speed must be above 0, not {speed}")
         self._origin = origin
         self._speed = speed
+        self.start()
+
+    def start(self) -> None:
+        """Begin (again) at the origin."""
         self._start = time.monotonic_ns()
 
     def now(self) -> int:

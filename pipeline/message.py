@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Generic, TypeAlias, TypeVar
+from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 T = TypeVar("T", covariant=True)
 
@@ -12,8 +12,7 @@ T = TypeVar("T", covariant=True)
 MAX_EXTENT_NS = 1_000_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """One sensor sample in a lineage."""
 
     stream: str  #: the source's output port, ``stage/port``

@@ -8,17 +8,20 @@ Into it (methods of the scheduler; each takes `now` and returns the actions that
     time(now)                         a wake-up
     source_ended(stage, now)          a source's iterator is exhausted
     device_down(device, now) / device_up(device, now)
-    stop(now)                         start nothing more; queued and waiting messages end here
+    stop(now)                         start nothing more; what is queued or waits ends here
     abandon(now)                      give up the runs that are still going
 
 Out of it: `Start` actions (what to execute) and, through an `Observer`, what happened.
+
+The values made on every hop are named tuples: frozen like our dataclasses, and 0.2 us to make
+instead of 0.4 us (a hop makes five).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 from pipeline.message import Message
 from pipeline.scheduling.topology import Port
@@ -71,8 +74,7 @@ class Mark(StrEnum):
 Value = Message[Any] | tuple[Message[Any], ...] | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class InputSet:
+class InputSet(NamedTuple):
     """The messages of one run."""
 
     trigger: Message[Any]
@@ -95,8 +97,7 @@ class Run:
     result: Any = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Start:
+class Start(NamedTuple):
     """Execute this step of this run now: on a CPU worker, on `run.device` (infer), or inline."""
 
     run: Run
@@ -104,8 +105,7 @@ class Start:
     inline: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Output:
+class Output(NamedTuple):
     """What a finished run says on one output port."""
 
     port: int  #: index in the stage's outputs

@@ -1,0 +1,798 @@
+"""The scheduler: a pure state machine that says which step of which stage runs next, and on what.
+
+No threads, no clock, no I/O. A driver brings events (`publish`, `step_done`, `time` ...), executes
+the `Start` actions that come back, and brings their results. README.md in this folder has the
+rules; this file is their flow: an event enters the books, bounds spread, and `_start_what_can`
+begins every step that may.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from pipeline.message import Message, Sample
+from pipeline.scheduling.books import Books
+from pipeline.scheduling.bounds import INFINITY, OutputPort
+from pipeline.scheduling.devices import Device
+from pipeline.scheduling.edges import Edge
+from pipeline.scheduling.events import (
+    InputSet,
+    Mark,
+    Observer,
+    Output,
+    Reason,
+    Refusal,
+    Run,
+    Start,
+    Step,
+)
+from pipeline.scheduling.stages import ActiveRun, StageState
+from pipeline.scheduling.sync import (
+    FIRST_WAIT_NS,
+    MAX_WAITING,
+    Slot,
+    Synchronizer,
+    WaitingSet,
+)
+from pipeline.scheduling.topology import OnError, Policy, Port, Topology
+from pipeline.scheduling.wiring import wire
+
+
+class Scheduler:
+    """One graph's scheduler. Not thread-safe: one lock of the driver owns it."""
+
+    def __init__(
+        self, topology: Topology, *, offline: bool = False, observer: Observer | None = None
+    ) -> None:
+        self._offline = offline
+        self._observer = observer or Observer()
+        self._now = 0
+        self._starts: list[Start] = []
+        self._dirty: list[StageState] = []
+        self._wanting: list[StageState] = []  #: stages that found no free CPU worker
+        self._free_workers = topology.workers
+        self._started = 0
+        self._stopping = False
+        wiring = wire(topology, self._drop, offline=offline)
+        self._stages = wiring.stages
+        self._by_name = {stage.node.name: stage for stage in self._stages}
+        self._ports = wiring.ports
+        self._devices = wiring.devices
+        self._synced = [stage for stage in self._stages if stage.sync]
+        self._timed = bool(self._synced or self._devices)
+        self._wakeup = INFINITY  #: the least instant at which something becomes due
+        self.books = Books(self._stages, list(self._ports.values()))
+
+    # ------------------------------------------------------------------ events
+
+    def publish(self, port: Port, message: Message[Any], now: int) -> list[Start]:
+        """A source brings a message; a refused one is counted and changes nothing else."""
+        self._begin(now)
+        output = self._ports[port]
+        reason = output.refusal(message)
+        if reason is not None:
+            self._observer.refused(port, message, reason, now)
+            if reason is Refusal.EARLY and output.min_period is not None:
+                output.min_period = None
+                text = "a message came before the promised min_period_ms; the promise is withdrawn"
+                self._observer.event("promise_withdrawn", str(port), text, now)
+            return self._starts
+        sample = Sample(str(port), message.stamp, now)
+        self._send(
+            output,
+            replace(message, received=now, seq=output.published, lineage=(sample,)),
+        )
+        self._raise(output, output.promised_after(message.stamp))
+        return self._start_what_can()
+
+    def source_ended(self, stage: str, now: int) -> list[Start]:
+        """A source has no more messages."""
+        self._begin(now)
+        for output in self._by_name[stage].ports:
+            self._raise(output, INFINITY)
+        return self._start_what_can()
+
+    def step_done(self, run: Run, now: int, outputs: Sequence[Output] | None = None) -> list[Start]:
+        """A step is over; `outputs` is what the last step of a run says."""
+        self._begin(now)
+        active, stage, step = self._step_over(run)
+        if active is None:
+            return self._start_what_can()
+        if active.doomed:
+            self._end(stage, active, "abandoned")
+        elif step is Step.PREPARE:
+            active.prepared, active.prepared_at = True, now
+            stage.measured_prepare(now - active.step_started)
+            self._serve(self._devices[str(active.device)])
+        elif step is Step.INFER:
+            stage.finishing.append(active)
+        else:
+            self._finish(stage, active, outputs or ())
+        self._mark(stage)
+        return self._start_what_can()
+
+    def step_failed(self, run: Run, now: int) -> list[Start]:
+        """A step raised."""
+        self._begin(now)
+        active, stage, _ = self._step_over(run)
+        if active is not None:
+            self._end(stage, active, "abandoned" if active.doomed else "failed")
+            self._mark(stage)
+        return self._start_what_can()
+
+    def time(self, now: int) -> list[Start]:
+        """A wake-up: deadlines may have passed."""
+        self._begin(now)
+        return self._start_what_can()
+
+    def device_down(self, device: str, now: int) -> list[Start]:
+        """A device is gone: its runs move to the next rung that is up, or end here."""
+        self._begin(now)
+        lost = self._devices[device]
+        if lost.up:
+            lost.up = False
+            moved = list(lost.pending)
+            lost.pending.clear()
+            if lost.inferring is not None:
+                moved.insert(0, self._retire(lost.inferring))
+                lost.inferring = None
+            for run in moved:
+                self._move(run, lost)
+            for stage in lost.stages:
+                if not stage.live and stage.group and not stage.stopped:
+                    self._drop_queue(stage, Reason.REPLACED)
+            self._mark_device(lost)
+        return self._start_what_can()
+
+    def device_up(self, device: str, now: int) -> list[Start]:
+        """A device is back."""
+        self._begin(now)
+        self._devices[device].up = True
+        self._mark_device(self._devices[device])
+        return self._start_what_can()
+
+    def stop(self, now: int) -> list[Start]:
+        """Start no new run; what is queued, waiting or held ends here. Runs in flight go on."""
+        self._begin(now)
+        self._stopping = True
+        for stage in self._stages:
+            self._drop_held(stage, Reason.END)
+        return self._start_what_can()
+
+    def abandon(self, now: int) -> list[Start]:
+        """Give up the runs in flight; late results of them are ignored."""
+        self._begin(now)
+        for stage in self._stages:
+            for run in stage.runs:
+                if run.ended is None:
+                    run.ended = "abandoned"
+            stage.finishing.clear()
+            self._commit(stage)
+        for device in self._devices.values():
+            device.pending.clear()
+            device.inferring = None
+        return self._starts
+
+    # ------------------------------------------------------------------ questions
+
+    def ready(self, source: str) -> bool:
+        """Whether a source may bring its next message (no blocked edge)."""
+        return not self._blocked(self._by_name[source])
+
+    def quiescent(self) -> bool:
+        """Nothing runs; without a further event nothing will."""
+        return not any(stage.runs for stage in self._stages)
+
+    def next_wakeup(self) -> int | None:
+        """The least instant at which `time` could do something."""
+        return None if self._wakeup >= INFINITY else self._wakeup
+
+    def ended(self, stage: str) -> bool:
+        """All output streams of the stage have ended; a sink's once nothing can reach it."""
+        state = self._by_name[stage]
+        if state.ports:
+            return all(port.ended for port in state.ports)
+        return state.least_output() >= INFINITY
+
+    def stopped(self, stage: str) -> bool:
+        """The stage stopped after a failure."""
+        return self._by_name[stage].stopped
+
+    def ledger(self) -> dict[str, dict[str, Any]]:
+        """Every edge's book by ``stage/port->stage/input``."""
+        return self.books.ledger()
+
+    def runs(self) -> dict[str, dict[str, int]]:
+        """Every stage's book of runs."""
+        return self.books.runs()
+
+    def devices(self) -> dict[str, Device]:
+        """The devices by name; read only."""
+        return self._devices
+
+    # ------------------------------------------------------------------ messages
+
+    def _begin(self, now: int) -> None:
+        """Every event starts here: what has become due by now is looked at again."""
+        self._now = now
+        self._starts = []
+        if now < self._wakeup:
+            return
+        for stage in self._synced:
+            if self._deadline(stage) <= now:
+                self._mark(stage)
+        for device in self._devices.values():
+            if device.wakeup is not None and device.wakeup <= now:
+                device.wakeup = None
+                self._mark_device(device)
+
+    def _send(self, output: OutputPort, message: Message[Any]) -> None:
+        """Enter a message that the port takes into the books of all its edges."""
+        output.last = message.stamp
+        output.published += 1
+        self._observer.published(output.port, message, self._now)
+        for edge in output.edges:
+            edge.book.produced += 1
+            stage = edge.target
+            if stage.stopped:
+                self._drop(edge, message, Reason.STAGE_STOPPED)
+            elif self._stopping:
+                self._drop(edge, message, Reason.END)
+            elif edge.decimates(message.stamp):
+                self._drop(edge, message, Reason.DECIMATED)
+            elif edge.slot is None:
+                self._arrive(edge, message)
+            else:
+                self._offer(edge, edge.slot, message)
+
+    def _offer(self, edge: Edge, slot: Slot, message: Message[Any]) -> None:
+        stage = edge.target
+        was_stale = slot.stale
+        assert stage.sync is not None
+        if stage.sync.offer(slot, message, self._now):
+            self._mark(stage)
+        if was_stale and not slot.stale:
+            text = "messages arrive in time again"
+            self._observer.event("recovered", edge.name, text, self._now)
+
+    def _arrive(self, edge: Edge, message: Message[Any]) -> None:
+        """A trigger arrives at its stage: into its queue, or its group's undecided frame."""
+        stage = edge.target
+        if stage.trigger_last is not None:
+            stage.trigger_gap = message.stamp - stage.trigger_last
+        stage.trigger_last = message.stamp
+        gap = stage.trigger_gap
+        entry = WaitingSet(message, self._now, FIRST_WAIT_NS if gap is None else 2 * gap)
+        if stage.sync is not None:
+            stage.sync.arrived(entry)
+        if stage.group is not None:
+            replaced = stage.group.undecided.get(stage.index)
+            stage.group.undecided[stage.index] = entry
+            if replaced is not None:
+                self._drop(edge, replaced.message, Reason.REPLACED)
+        else:
+            lost = stage.queue.put(entry)
+            if lost is not None:
+                self._drop(edge, lost[0].message, lost[1])
+        self._triggers_changed(stage)
+        self._mark(stage)
+
+    def _drop(self, edge: Edge, message: Message[Any], reason: Reason) -> None:
+        edge.book.drop(reason)
+        self._observer.dropped(
+            edge.origin.port, edge.target.node.name, edge.input.name, message, reason, self._now
+        )
+
+    # ------------------------------------------------------------------ bounds
+
+    def _raise(self, output: OutputPort, bound: int) -> None:
+        """The bound of a port rises (it never falls) and whoever looks at it hears of it."""
+        if bound <= output.bound:
+            return
+        output.bound = bound
+        ended = bound >= INFINITY
+        for edge in output.edges:
+            stage = edge.target
+            if stage.stopped:
+                continue
+            if edge.slot is not None:
+                assert stage.sync is not None
+                if stage.sync.bound(edge.slot, INFINITY if ended else bound + edge.slot.offset):
+                    self._mark(stage)
+            elif stage.sync is not None or stage.watched or ended:
+                self._triggers_changed(stage)
+
+    def _triggers_changed(self, stage: StageState) -> None:
+        """What is queued, waiting or still to come at a stage changed: prune, raise its outputs."""
+        if stage.sync is not None:
+            stage.sync.lower(stage.least_set())
+        self._outputs_changed(stage)
+
+    def _outputs_changed(self, stage: StageState) -> None:
+        producer = stage.producer
+        if stage.watched or stage.stopped or (producer is not None and producer.origin.ended):
+            least = stage.least_output()
+            for port in stage.ports:
+                self._raise(port, max(port.last + 1, least))
+
+    # ------------------------------------------------------------------ starting
+
+    def _mark(self, stage: StageState) -> None:
+        """Look at a stage again before this event is over."""
+        if not stage.dirty:
+            stage.dirty = True
+            self._dirty.append(stage)
+
+    def _mark_device(self, device: Device) -> None:
+        for stage in device.stages:
+            self._mark(stage)
+            if stage.group is not None:
+                for member in stage.group.members:
+                    self._mark(member)
+
+    def _start_what_can(self) -> list[Start]:
+        """Begin every step that may begin now; the end of every event."""
+        while self._dirty:
+            stages, self._dirty = self._dirty, []
+            candidates: list[StageState] = []
+            for stage in stages:
+                stage.dirty = False
+                if not stage.inputs:
+                    continue
+                if stage.sync is not None:
+                    self._fill_waiting(stage, stage.sync)
+                if stage.node.inline:
+                    if self._start_cpu_step(stage) and stage.free:
+                        self._mark(stage)
+                else:
+                    candidates.append(stage)
+            if candidates:
+                self._use_workers(candidates)
+        if self._timed:
+            self._wakeup = self._next_due()
+        return self._starts
+
+    def _next_due(self) -> int:
+        due = [self._deadline(stage) for stage in self._synced]
+        due += [d.wakeup for d in self._devices.values() if d.wakeup is not None]
+        return min(due, default=INFINITY)
+
+    def _use_workers(self, candidates: list[StageState]) -> None:
+        """Hand the free CPU workers to the stages that want one, best step first."""
+        if self._wanting:
+            wanted = {stage.index: stage for stage in self._wanting}
+            wanted.update((stage.index, stage) for stage in candidates)
+            candidates = list(wanted.values())
+            self._wanting = []
+        while self._free_workers and candidates:
+            if len(candidates) > 1:
+                keyed = [(key, s) for s in candidates if (key := self._step_key(s)) is not None]
+                if not keyed:
+                    return
+                best = min(keyed)[1]
+                candidates = [s for _, s in keyed]
+            else:
+                best = candidates[0]
+            if not self._start_cpu_step(best):
+                candidates = [stage for stage in candidates if stage is not best]
+        self._wanting = [s for s in candidates if self._step_key(s) is not None]
+
+    def _step_key(self, stage: StageState) -> tuple[int, int, int, int] | None:
+        """What a stage wants a worker for, as a sort key (README, section 6); None: nothing."""
+        if stage.cpu_steps and not stage.node.stateless:
+            return None
+        priority = -stage.node.priority
+        if stage.finishing:
+            return priority, 0, stage.finishing[0].stamp, stage.index
+        stamp = self._next_trigger(stage)
+        return None if stamp is None else (priority, 1, stamp, stage.index)
+
+    def _start_cpu_step(self, stage: StageState) -> bool:
+        if stage.cpu_steps and not stage.node.stateless:
+            return False
+        if stage.finishing:
+            self._start_step(stage, stage.finishing.popleft(), Step.FINISH)
+            return True
+        return self._try_process(stage)
+
+    def _try_process(self, stage: StageState) -> bool:
+        """Start the stage's next run if it can; True where something changed."""
+        if self._next_trigger(stage) is None:
+            return False
+        if stage.ladder and not self._device_turn(stage):
+            return False
+        entry = stage.sync.waiting[0] if stage.sync else self._head(stage)
+        assert entry is not None
+        age = stage.node.trigger.max_age
+        if age is not None and not self._offline and self._now - entry.stamp > age:
+            self._pop_trigger(stage)
+            self._trigger_lost(stage, entry, Reason.TOO_OLD)
+            return True
+        if stage.sync is None:
+            self._pop_trigger(stage)
+            self._start_run(stage, InputSet(entry.message, (entry.message,)))
+            return True
+        inputs, stale = stage.sync.take()
+        self._stale(stage, stale)
+        self._deliver_slots(stage, stage.sync)
+        self._start_run(stage, inputs)
+        return True
+
+    def _deadline(self, stage: StageState) -> int:
+        """When the oldest set of a stage times out."""
+        return INFINITY if stage.sync is None else stage.sync.next_deadline()
+
+    def _next_trigger(self, stage: StageState) -> int | None:
+        """The stamp of the set that the stage could start now, worker and device apart."""
+        if stage.stopped or self._stopping or not stage.free:
+            return None
+        if stage.sync is not None:
+            if not stage.sync.ready(self._now):
+                return None
+            stamp = stage.sync.waiting[0].stamp
+        else:
+            head = self._head(stage)
+            if head is None:
+                return None
+            stamp = head.stamp
+        if stage.blocking and self._blocked(stage):
+            return None
+        if stage.ladder and ((device := stage.device) is None or device.pending):
+            return None
+        return stamp
+
+    def _blocked(self, stage: StageState) -> bool:
+        """An out edge with `policy: block` has no room for another result."""
+        coming = len(stage.runs)
+        return any(
+            edge.target.queue.blocks(coming) for edge in stage.blocking if not edge.target.stopped
+        )
+
+    # ------------------------------------------------------------------ triggers
+
+    def _head(self, stage: StageState) -> WaitingSet | None:
+        """The next trigger of a stage; an undecided frame counts once its group can decide."""
+        if stage.queue.entries:
+            return stage.queue.entries[0]
+        group = stage.group
+        if group is not None and stage.live and group.decidable():
+            return group.undecided.get(stage.index)
+        return None
+
+    def _pop_head(self, stage: StageState) -> WaitingSet:
+        """Take the next trigger out of the queue; decides the group's frame if it must."""
+        if not stage.queue.entries:
+            self._decide(stage)
+        entry = stage.queue.entries.popleft()
+        if stage.group is not None and not stage.queue.entries:
+            for member in stage.group.members:
+                self._mark(member)
+        producer = stage.producer
+        assert producer is not None
+        if producer.input.policy is Policy.BLOCK:
+            self._mark(self._by_name[producer.origin.port.stage])
+        return entry
+
+    def _decide(self, stage: StageState) -> None:
+        """The group decides for its newest frame: every live member will take it."""
+        group = stage.group
+        assert group is not None
+        frames, group.undecided = group.undecided, {}
+        for member in group.members:
+            entry = frames.get(member.index)
+            if entry is None:
+                continue
+            if member.live:
+                member.queue.entries.append(entry)
+            else:
+                assert member.producer is not None
+                self._drop(member.producer, entry.message, Reason.REPLACED)
+                self._triggers_changed(member)
+            self._mark(member)
+
+    def _fill_waiting(self, stage: StageState, sync: Synchronizer) -> None:
+        """Drop sets that miss a required input; let triggers wait, up to four; a fifth forces."""
+        while True:
+            room = stage.free and not (self._stopping or stage.stopped)
+            more = room and self._head(stage) is not None
+            if sync.waiting:
+                full = len(sync.waiting) >= MAX_WAITING
+                sync.waiting[0].forced = full and more and not self._offline
+                if sync.ready(self._now) and sync.skips:
+                    entry = sync.waiting[0]
+                    self._stale(stage, sync.take()[1])
+                    self._trigger_lost(stage, entry, Reason.SET_SKIPPED)
+                    continue
+                if full:
+                    return
+            if not more:
+                return
+            sync.open(self._pop_head(stage))
+
+    def _stale(self, stage: StageState, slots: Sequence[Slot]) -> None:
+        for slot in slots:
+            name = next(edge.name for edge in stage.synced_edges if edge.slot is slot)
+            text = "nothing came within max_wait_ms: sets go on without it until it is back"
+            self._observer.event("stale", name, text, self._now)
+
+    def _pop_trigger(self, stage: StageState) -> None:
+        """Take the trigger that is about to start (or to be dropped) from where it waits."""
+        if stage.sync is not None:
+            stage.sync.waiting.popleft()
+        else:
+            self._pop_head(stage)
+
+    def _trigger_lost(self, stage: StageState, entry: WaitingSet, reason: Reason) -> None:
+        assert stage.producer is not None
+        self._drop(stage.producer, entry.message, reason)
+        self._triggers_changed(stage)
+        self._mark(stage)
+
+    def _drop_queue(self, stage: StageState, reason: Reason) -> None:
+        """Drop the triggers that no set has taken."""
+        assert stage.producer is not None
+        lost = list(stage.queue.entries)
+        stage.queue.entries.clear()
+        for entry in lost:
+            self._drop(stage.producer, entry.message, reason)
+        self._triggers_changed(stage)
+
+    def _drop_held(self, stage: StageState, reason: Reason) -> None:
+        """Drop everything that a stage holds and has not started on."""
+        if stage.producer is None:
+            return
+        if stage.sync is not None:
+            waiting = list(stage.sync.waiting)
+            stage.sync.waiting.clear()
+            for entry in waiting:
+                self._drop(stage.producer, entry.message, reason)
+            for slot in stage.sync.slots:
+                slot.release(len(slot), reason)
+        self._drop_queue(stage, reason)
+        if stage.group is not None:
+            entry_ = stage.group.undecided.pop(stage.index, None)
+            if entry_ is not None:
+                self._drop(stage.producer, entry_.message, reason)
+
+    # ------------------------------------------------------------------ devices
+
+    def _device_turn(self, stage: StageState) -> bool:
+        """Whether it is the stage's turn on its device: by priority, then least recently started.
+
+        The turn is decided first and the time for it after: were each stage let in as soon as its
+        own prepare time allows, the one with the longest prepare would take every turn.
+        """
+        device = stage.device
+        assert device is not None
+        rivals = [
+            rival
+            for rival in device.stages
+            if rival is stage
+            or (
+                rival.device is device
+                and not (rival.cpu_steps and not rival.node.stateless)
+                and self._next_trigger(rival) is not None
+            )
+        ]
+        turn = min(rivals, key=lambda s: (-s.node.priority, s.last_started, s.index))
+        if turn is not stage:
+            self._mark(turn)
+            return False
+        if self._offline:
+            return True
+        start_at = device.free_at(self._now) - stage.prepare_ns
+        if start_at > self._now:
+            device.wakeup = start_at
+            return False
+        return True
+
+    def _serve(self, device: Device) -> None:
+        """Start the next infer of an idle device whose next run is prepared."""
+        while device.up and device.inferring is None and device.pending:
+            run = self._next_prepared(device)
+            if run is None:
+                return
+            device.pending.remove(run)
+            stage = self._by_name[run.stage]
+            age = stage.node.trigger.max_age
+            if age is not None and not self._offline and self._now - run.stamp > age:
+                self._end(stage, run, "abandoned")
+                self._mark(stage)
+                continue
+            device.begin(run, self._now)
+            self._start_step(stage, run, Step.INFER)
+        device.wakeup = None
+        self._mark_device(device)
+
+    def _next_prepared(self, device: Device) -> ActiveRun | None:
+        """The prepared run to infer; there is more than one only after another device died."""
+        prepared = [run for run in device.pending if run.prepared]
+        if len(prepared) < 2:
+            return prepared[0] if prepared else None
+        stage_of = self._by_name
+        return min(
+            prepared,
+            key=lambda r: (-stage_of[r.stage].node.priority, r.stamp, stage_of[r.stage].index),
+        )
+
+    def _move(self, run: ActiveRun, lost: Device) -> None:
+        """Take a run whose device is gone to the next rung of its ladder that is up."""
+        stage = self._by_name[run.stage]
+        later = stage.ladder[stage.ladder.index(lost) + 1 :]
+        device = next((rung for rung in later if rung.up), None)
+        if device is None:
+            if run.step is None:
+                self._end(stage, run, "abandoned")
+            else:
+                run.doomed = True
+            return
+        run.device = device.name
+        device.pending.append(run)
+        self._serve(device)
+
+    def _retire(self, run: ActiveRun) -> ActiveRun:
+        """A fresh run in place of one whose infer is lost: what comes of the old one is ignored."""
+        stage = self._by_name[run.stage]
+        fresh = ActiveRun(run.stage, run.number, run.inputs, run.started)
+        fresh.result, fresh.prepared, fresh.prepared_at = run.result, True, self._now
+        stage.runs[stage.runs.index(run)] = fresh
+        return fresh
+
+    # ------------------------------------------------------------------ runs
+
+    def _start_run(self, stage: StageState, inputs: InputSet) -> None:
+        assert stage.producer is not None
+        stage.producer.book.delivered += 1
+        run = ActiveRun(stage.node.name, stage.next_number, inputs, self._now)
+        stage.next_number += 1
+        stage.runs.append(run)
+        stage.book.started += 1
+        stage.last_started = self._started
+        self._started += 1
+        for _, _, mark in inputs.marks:
+            stage.book.unsettled += mark is Mark.UNSETTLED
+            stage.book.missing += mark is Mark.MISSING
+            stage.book.held += mark is Mark.HELD
+        self._observer.set_formed(stage.node.name, inputs, self._now)
+        if stage.sync is not None:
+            stage.sync.lower(stage.least_set())
+        device = stage.device
+        if device is not None:
+            run.device = device.name
+            device.pending.append(run)
+        self._start_step(stage, run, Step.PREPARE if stage.ladder else Step.PROCESS)
+        if stage.free or stage.sync is not None:
+            self._mark(stage)
+
+    def _start_step(self, stage: StageState, run: ActiveRun, step: Step) -> None:
+        run.step, run.step_started = step, self._now
+        inline = stage.node.inline and step is not Step.INFER
+        if step is not Step.INFER:
+            stage.cpu_steps += 1
+            self._free_workers -= not inline
+        self._starts.append(Start(run, step, inline))
+
+    def _deliver_slots(self, stage: StageState, sync: Synchronizer) -> None:
+        """Book every message of the set that was just taken: delivered once, then reused."""
+        for edge in stage.synced_edges:
+            slot = edge.slot
+            assert slot is not None
+            for index in sync.chosen(slot):
+                if slot.used[index]:
+                    edge.book.reused += 1
+                else:
+                    slot.used[index] = True
+                    edge.book.delivered += 1
+
+    def _step_over(self, run: Run) -> tuple[ActiveRun | None, StageState, Step | None]:
+        """Free what the step held; the run is None where nobody waits for it any more."""
+        assert isinstance(run, ActiveRun)
+        stage = self._by_name[run.stage]
+        step, run.step = run.step, None
+        if step is Step.INFER:
+            device = self._devices[str(run.device)]
+            if device.inferring is run:
+                device.end(run, self._now)
+                self._serve(device)
+        else:
+            stage.cpu_steps -= 1
+            if not stage.node.inline:
+                self._free_workers += 1
+                for wanting in self._wanting:
+                    self._mark(wanting)
+        known = run.ended is None and run in stage.runs
+        return (run if known else None), stage, step
+
+    def _finish(self, stage: StageState, run: ActiveRun, outputs: Sequence[Output]) -> None:
+        run.outputs = outputs
+        self._end(stage, run, "finished" if outputs or not stage.ports else "filtered")
+
+    def _end(self, stage: StageState, run: ActiveRun, how: str) -> None:
+        """A run is over; it leaves when every earlier one has."""
+        run.ended = how
+        device = self._devices.get(str(run.device))
+        if device is not None and run in device.pending:
+            device.pending.remove(run)
+            self._serve(device)
+        if stage.runs[0] is run:
+            self._commit(stage)
+
+    def _commit(self, stage: StageState) -> None:
+        """Let runs leave in trigger order: publish what they say, enter how they ended."""
+        while stage.runs and (how := stage.runs[0].ended) is not None:
+            run = stage.runs[0]
+            if how == "finished" and not self._say(stage, run):
+                how = "failed"
+            stage.runs.popleft()
+            book = stage.book
+            setattr(book, how, getattr(book, how) + 1)
+            self._observer.run_ended(run, how, self._now)
+            self._outputs_changed(stage)
+            if how == "failed" and stage.node.on_error is OnError.STOP and not stage.stopped:
+                self._stop_stage(stage)
+
+    def _say(self, stage: StageState, run: ActiveRun) -> bool:
+        """Publish a run's outputs; False where a port does not take its stamp."""
+        if not run.outputs:
+            return True
+        trigger = run.inputs.trigger
+        lineage = _lineage(run.inputs)
+        messages: list[tuple[OutputPort, Message[Any]]] = []
+        for output in run.outputs:
+            port = stage.ports[output.port]
+            if output.stamp is None:
+                stamp, begin, end = trigger.stamp, trigger.begin, trigger.end
+            else:
+                stamp = output.stamp
+                begin = stamp if output.begin is None else output.begin
+                end = stamp if output.end is None else output.end
+            message = Message(output.payload, stamp, begin, end, self._now, port.published, lineage)
+            reason = port.refusal(message)
+            if reason is None and stamp < trigger.stamp:
+                reason = Refusal.BACKWARD
+            if reason is not None:
+                text = f"a result at stamp {stamp} for a trigger at {trigger.stamp} is {reason}"
+                self._observer.event("bad_output", str(port.port), text, self._now)
+                return False
+            messages.append((port, message))
+        for port, message in messages:
+            self._send(port, message)
+        return True
+
+    def _stop_stage(self, stage: StageState) -> None:
+        """A stage is out for good: what it holds ends, its streams end, the graph goes on."""
+        stage.stopped = True
+        self._drop_held(stage, Reason.STAGE_STOPPED)
+        for run in stage.runs:
+            run.doomed = True
+        for run in list(stage.finishing):
+            self._end(stage, run, "abandoned")
+        stage.finishing.clear()
+        for device in stage.ladder:
+            for run in [r for r in device.pending if r.stage == stage.node.name and r.prepared]:
+                self._end(stage, run, "abandoned")
+        text = "a run failed and on_error is stop; the rest of the graph goes on without it"
+        self._observer.event("stage_stopped", stage.node.name, text, self._now)
+        for port in stage.ports:
+            self._raise(port, INFINITY)
+        if stage.group is not None:
+            for member in stage.group.members:
+                self._mark(member)
+
+
+def _lineage(inputs: InputSet) -> tuple[Sample, ...]:
+    """The union of the lineages of a set, in the order of the set."""
+    if len(inputs.values) == 1:
+        return inputs.trigger.lineage
+    samples: dict[Sample, None] = {}
+    for value in inputs.values:
+        messages = value if isinstance(value, tuple) else (value,)
+        for message in messages:
+            if isinstance(message, tuple):  # a span on a port of several edges
+                for one in message:
+                    samples.update(dict.fromkeys(one.lineage))
+            elif message is not None:
+                samples.update(dict.fromkeys(message.lineage))
+    return tuple(samples)
