@@ -1,0 +1,306 @@
+"""Runs a graph in real time: threads, a clock, and the one lock that owns the scheduler.
+
+Whoever brings an event steps the scheduler under the lock and hands the runs that start straight to
+their workers: a source thread per source, a thread per device, as many CPU workers as cores. A
+worker that finishes a step keeps the next one where it can, so that a busy device waits for nobody.
+The main thread serves deadlines and progress.
+"""
+
+from __future__ import annotations
+
+import gc
+import sys
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from queue import SimpleQueue
+from typing import Any
+
+from pipeline.clock import ScaledClock
+from pipeline.drivers.executor import Worker
+from pipeline.drivers.statistics import Statistics
+from pipeline.drivers.threads import name_this_thread
+from pipeline.message import Message
+from pipeline.scheduling.events import Output, Start, Step
+from pipeline.scheduling.scheduler import Scheduler
+from pipeline.scheduling.topology import Port, Topology
+
+#: How long runs in flight may go on after a stop before they are given up.
+DRAIN_S = 1.5
+#: The main thread looks this often at stop requests and progress.
+TICK_S = 0.1
+#: A thread that wants the GIL asks for it after this long (Python's default of 5 ms would be a
+#: twentieth of a scan's period).
+SWITCH_INTERVAL_S = 0.0005
+#: One step in this many has its scheduler time measured: reading a thread's CPU clock is a system
+#: call.
+SAMPLE = 8
+
+
+class _Thread:
+    """A worker thread and its inbox; None in it ends the thread."""
+
+    def __init__(self, name: str, *, is_device: bool = False) -> None:
+        self.name = name
+        self.is_device = is_device
+        self.inbox: SimpleQueue[Start | None] = SimpleQueue()
+        self.thread: threading.Thread | None = None
+
+
+class LiveDriver:
+    """Drives one scheduler until its sources end or `stop` is called. Use once."""
+
+    def __init__(
+        self,
+        topology: Topology,
+        scheduler: Scheduler,
+        workers: Mapping[str, Worker],
+        sources: Mapping[str, Iterator[Message[Any]]],
+        clock: ScaledClock,
+        statistics: Statistics,
+        on_failure: Callable[[str, BaseException, str], None],
+    ) -> None:
+        self._scheduler = scheduler
+        self._workers = workers
+        self._sources = sources
+        self._clock = clock
+        self._statistics = statistics
+        self._on_failure = on_failure
+        self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)  #: an earlier deadline, or done
+        self._unblocked = threading.Condition(self._lock)  #: sources: room in a blocked queue
+        self._armed: int | None = None  #: the deadline that the main thread sleeps for
+        self._stop = threading.Event()
+        self._open_sources = set(sources)
+        self._blocked_sources = 0
+        self._steps = 0
+        self._crash: BaseException | None = None
+        self._idle = [_Thread(f"cpu-{i}") for i in range(topology.workers)]
+        names = sorted({name for stage in topology.stages for name in stage.devices})
+        self._devices = {name: _Thread(f"dev-{name}", is_device=True) for name in names}
+        self._threads = [*self._idle, *self._devices.values()]
+
+    def stop(self) -> None:
+        """Ask the run to end: callable from any thread and from a signal handler."""
+        self._stop.set()
+
+    def run(self, duration_s: float | None, tick: Callable[[], None]) -> None:
+        """Run to the end of all sources, for `duration_s`, or to `stop`; then drain and join."""
+        interval = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        try:
+            self._start_threads()
+            end = None if duration_s is None else time.monotonic() + duration_s
+            self._serve(end, tick)
+        finally:
+            self._shut_down()
+            sys.setswitchinterval(interval)
+            gc.enable()
+            gc.unfreeze()
+        if self._crash is not None:
+            raise self._crash
+
+    # ------------------------------------------------------------------ main thread
+
+    def _start_threads(self) -> None:
+        for worker in self._threads:
+            worker.thread = threading.Thread(target=self._work, args=(worker,), daemon=True)
+            worker.thread.start()
+        self._source_threads = [
+            threading.Thread(target=self._read, args=(name, messages), daemon=True)
+            for name, messages in self._sources.items()
+        ]
+        self._clock.start()
+        for thread in self._source_threads:
+            thread.start()
+
+    def _serve(self, end: float | None, tick: Callable[[], None]) -> None:
+        """Serve deadlines and progress until the run is over."""
+        next_tick = time.monotonic() + TICK_S
+        next_collect = time.monotonic() + 1.0
+        while not self._stop.is_set():
+            now = time.monotonic()
+            if end is not None and now >= end:
+                return
+            if now >= next_tick:
+                next_tick = now + TICK_S
+                tick()
+            if now >= next_collect:
+                # Reference counting frees nearly everything; the young generations are collected
+                # here, on the thread that nobody waits for.
+                next_collect = now + 1.0
+                gc.collect(1)
+            wait = next_tick - now if end is None else min(next_tick, end) - now
+            starts: list[Start] = []
+            with self._changed:
+                if self._over():
+                    return
+                self._armed = self._scheduler.next_wakeup()
+                if self._armed is not None:
+                    wait = min(wait, self._clock.seconds_until(self._armed))
+                if wait > 0:
+                    self._changed.wait(wait)
+                armed, self._armed = self._armed, None
+                if armed is not None and self._clock.now() >= armed:
+                    starts = self._hand_out(self._scheduler.time(self._clock.now()), None)
+            self._run_here(starts, None)
+
+    def _over(self) -> bool:
+        return not self._open_sources and self._scheduler.quiescent()
+
+    def _shut_down(self) -> None:
+        self._stop.set()
+        with self._lock:
+            self._scheduler.stop(self._clock.now())
+            self._unblocked.notify_all()
+        deadline = time.monotonic() + DRAIN_S
+        with self._changed:
+            while not self._scheduler.quiescent() and time.monotonic() < deadline:
+                self._changed.wait(0.02)
+            self._scheduler.abandon(self._clock.now())
+        for worker in self._threads:
+            worker.inbox.put(None)
+        threads = [worker.thread for worker in self._threads if worker.thread is not None]
+        for thread in [*self._source_threads, *threads]:
+            thread.join(max(0.0, deadline + 0.3 - time.monotonic()))
+            if thread.is_alive():
+                text = f"thread {thread.name} still hangs in a step; left behind"
+                self._statistics.event("hung", thread.name, text, self._clock.now())
+
+    # ------------------------------------------------------------------ source threads
+
+    def _read(self, name: str, messages: Iterator[Message[Any]]) -> None:
+        name_this_thread(f"src-{name}")
+        try:
+            self._pace(name, messages)
+            with self._changed:
+                self._open_sources.discard(name)
+                starts = self._hand_out(self._scheduler.source_ended(name, self._clock.now()), None)
+                self._statistics.step(name, Step.PROCESS, time.thread_time_ns())
+                self._changed.notify_all()
+            self._run_here(starts, None)
+        except BaseException as error:
+            self._crashed(error)
+
+    def _pace(self, name: str, messages: Iterator[Message[Any]]) -> None:
+        """Publish each message when it arrives, until the source ends, fails, or is stopped."""
+        port = Port(name)
+        while True:
+            try:
+                message = next(messages, None)
+            except Exception as error:
+                text = traceback.format_exc()
+                with self._lock:
+                    self._on_failure(name, error, text)
+                return
+            if message is None:
+                return
+            while (wait := self._clock.seconds_until(message.received)) > 0:
+                if self._stop.wait(wait):
+                    return
+            if not self._publish(name, port, message):
+                return
+
+    def _crashed(self, error: BaseException) -> None:
+        """A defect in the scheduler or this driver: end the run; `run` raises it."""
+        self._crash = self._crash or error
+        self._stop.set()
+
+    def _publish(self, name: str, port: Port, message: Message[Any]) -> bool:
+        with self._lock:
+            while not self._scheduler.ready(name):
+                if self._stop.is_set():
+                    return False
+                self._blocked_sources += 1
+                self._unblocked.wait()
+                self._blocked_sources -= 1
+            if self._stop.is_set():
+                return False
+            starts = self._hand_out(self._step("publish", port, message, self._clock.now()), None)
+        self._run_here(starts, None)
+        return True
+
+    # ------------------------------------------------------------------ workers
+
+    def _work(self, me: _Thread) -> None:
+        name_this_thread(me.name)
+        try:
+            while (start := me.inbox.get()) is not None:
+                self._run_here([start], me)
+        except BaseException as error:
+            self._crashed(error)
+
+    def _run_here(self, starts: list[Start], me: _Thread | None) -> None:
+        """Execute steps on this thread, and what they start on it, until nothing is left."""
+        todo = deque(starts)
+        while todo:
+            start = todo.popleft()
+            run = start.run
+            before = time.thread_time_ns()
+            outputs: tuple[Output, ...] | None = None
+            try:
+                outputs = tuple(self._workers[run.stage].execute(run, start.step))
+            except Exception as error:
+                text = traceback.format_exc()
+                with self._lock:
+                    self._on_failure(run.stage, error, text)
+            cpu_ns = time.thread_time_ns() - before
+            with self._lock:
+                self._statistics.step(run.stage, start.step, cpu_ns)
+                now = self._clock.now()
+                if outputs is None:
+                    actions = self._step("step_failed", run, now)
+                else:
+                    actions = self._step("step_done", run, now, outputs)
+                mine = me if me is not None and not start.inline else None
+                todo.extend(self._hand_out(actions, mine))
+
+    def _step(self, event: str, *arguments: Any) -> list[Start]:
+        """Step the scheduler (under the lock), measuring one step in `SAMPLE`."""
+        self._steps += 1
+        method = getattr(self._scheduler, event)
+        if self._steps % SAMPLE:
+            return method(*arguments)  # type: ignore[no-any-return]
+        before = time.thread_time_ns()
+        starts: list[Start] = method(*arguments)
+        self._statistics.scheduler_ns += SAMPLE * (time.thread_time_ns() - before)
+        return starts
+
+    def _hand_out(self, starts: list[Start], me: _Thread | None) -> list[Start]:
+        """Give each step to its thread (under the lock); returns those that this thread executes.
+
+        `me` is the thread whose step just ended: it is free, so it keeps a step it can execute.
+        """
+        if me is not None and not me.is_device:
+            self._idle.append(me)
+        inline: list[Start] = []
+        own: list[Start] = []
+        for start in starts:
+            if start.inline:
+                inline.append(start)
+                continue
+            thread = self._thread_for(start, me)
+            if thread is me:
+                own.append(start)
+            else:
+                thread.inbox.put(start)
+        if self._blocked_sources:
+            self._unblocked.notify_all()
+        wakeup = self._scheduler.next_wakeup()
+        earlier = wakeup is not None and (self._armed is None or wakeup < self._armed)
+        if earlier or (not self._open_sources and self._scheduler.quiescent()):
+            self._changed.notify()
+        return [*inline, *own]
+
+    def _thread_for(self, start: Start, me: _Thread | None) -> _Thread:
+        if start.step is Step.INFER:
+            return self._devices[str(start.run.device)]
+        if me in self._idle:
+            self._idle.remove(me)
+            return me
+        return self._idle.pop()

@@ -1,0 +1,123 @@
+"""The report of a run as plain values: what `run --report` writes and the tables are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from pipeline.drivers.statistics import (
+    PortStatistics,
+    Quantiles,
+    StageStatistics,
+    Statistics,
+    milliseconds,
+)
+from pipeline.scheduling.ledger import balanced
+from pipeline.scheduling.scheduler import Scheduler
+from pipeline.scheduling.topology import Port, StageNode
+
+if TYPE_CHECKING:
+    from pipeline.graph.graph import Graph
+
+
+def build_report(
+    graph: Graph,
+    scheduler: Scheduler,
+    statistics: Statistics,
+    wall_ns: int,
+    cpu_ns: int,
+    *,
+    offline: bool,
+) -> dict[str, Any]:
+    """Everything that a run measured; null where offline has no meaning."""
+    wall_s = wall_ns / 1e9
+    ledger = scheduler.books.ledger()
+    runs = scheduler.books.runs()
+    return {
+        "graph": graph.name,
+        "wall_s": round(wall_s, 3),
+        "offline": offline,
+        "stages": {
+            node.name: _stage(node, runs, scheduler, statistics, wall_s)
+            for node in graph.topology.stages
+        },
+        "edges": ledger,
+        "ledger_balanced": balanced(ledger),
+        "outputs": {
+            str(port): _output(statistics.ports.get(port, PortStatistics()), offline)
+            for node in graph.topology.stages
+            for port in (Port(node.name, name) for name in node.outputs)
+        },
+        "devices": {
+            name: {
+                "runs": device.runs,
+                "busy_fraction": None if offline else round(device.busy_ns / wall_ns, 4),
+                "wait_ms": None if offline else milliseconds(_quantiles(device.waits_ns)),
+            }
+            for name, device in scheduler.devices().items()
+        },
+        "cpu": {
+            "process_cores": round(cpu_ns / wall_ns, 4),
+            "stages_cores": round(_stages_cpu(statistics) / wall_ns, 4),
+            "scheduler_fraction": round(statistics.scheduler_ns / max(cpu_ns, 1), 4),
+        },
+        "refused": scheduler.books.refusals(),
+        "failures": list(statistics.failures),
+        "events": [
+            {"at_s": event.at_ns / 1e9, "kind": event.kind, "of": event.subject, "text": event.text}
+            for event in statistics.events
+        ],
+    }
+
+
+def _stage(
+    node: StageNode,
+    runs: dict[str, dict[str, int]],
+    scheduler: Scheduler,
+    statistics: Statistics,
+    wall_s: float,
+) -> dict[str, Any]:
+    known = statistics.stages.get(node.name, StageStatistics())
+    book = runs.get(node.name)
+    ports = [statistics.ports.get(Port(node.name, port)) for port in node.outputs]
+    published = max((port.count for port in ports if port), default=0)
+    count = book["started"] if book else published
+    page: dict[str, Any] = {
+        "runs": count,
+        "rate_hz": round(count / wall_s, 3) if wall_s else None,
+        "errors": known.errors,
+        "latency_ms": milliseconds(known.latency),
+        "cpu_ms": {
+            str(step): round(ns / 1e6 / max(known.steps[step], 1), 3)
+            for step, ns in known.cpu_ns.items()
+        },
+        "stopped": scheduler.stopped(node.name),
+    }
+    if book:
+        page["ended"] = book
+        page |= scheduler.books.statistics()[node.name]
+        marks = scheduler.books.marks().get(node.name)
+        if marks:
+            page["inputs"] = marks
+    return page
+
+
+def _output(statistics: PortStatistics, offline: bool) -> dict[str, Any]:
+    rate = None if offline else statistics.rate_hz()
+    return {
+        "count": statistics.count,
+        "rate_hz": None if rate is None else round(rate, 3),
+        "age_from_stamp_ms": None if offline else milliseconds(statistics.age_from_stamp),
+        "age_from_arrival_ms": None if offline else milliseconds(statistics.age_from_arrival),
+    }
+
+
+def _stages_cpu(statistics: Statistics) -> int:
+    return sum(sum(stage.cpu_ns.values()) for stage in statistics.stages.values())
+
+
+def _quantiles(values: Iterable[int]) -> Quantiles:
+    quantiles = Quantiles()
+    for value in values:
+        quantiles.add(value)
+    return quantiles

@@ -1,0 +1,99 @@
+"""Small stages and a way to run them, for the tests of the drivers."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from pipeline.clock import ScaledClock
+from pipeline.drivers.executor import Worker
+from pipeline.drivers.live import LiveDriver
+from pipeline.drivers.offline import OfflineDriver
+from pipeline.drivers.statistics import Statistics
+from pipeline.message import Message
+from pipeline.scheduling.scheduler import Scheduler
+from pipeline.scheduling.topology import StageNode, Topology
+from pipeline.stage import Stage
+
+MS = 1_000_000
+
+
+def beat(count: int, period_ms: float, delay_ms: float = 0.0) -> Iterator[Message[int]]:
+    """`count` messages with their number as payload."""
+    for number in range(count):
+        stamp = int(number * period_ms * MS)
+        yield Message.at(stamp, number, received=stamp + int(delay_ms * MS))
+
+
+class Collect(Stage):
+    """A sink that keeps (stamp, payload, thread name)."""
+
+    def __init__(self) -> None:
+        self.seen: list[tuple[int, Any]] = []
+        self.threads: set[str] = set()
+
+    def process(self, x: Message[Any]) -> None:
+        self.seen.append((x.stamp, x.payload))
+        self.threads.add(threading.current_thread().name)
+
+
+class Apply(Stage):
+    """Applies a function to the payload."""
+
+    def __init__(self, function: Callable[[Any], Any], *, inline: bool = False) -> None:
+        self._function = function
+        self.inline = inline  # type: ignore[misc]
+
+    def process(self, x: Message[Any]) -> Any:
+        return self._function(x.payload)
+
+
+class Pair(Stage):
+    """Two inputs into one tuple of payloads."""
+
+    def process(self, a: Message[Any], b: Message[Any] | None) -> tuple[Any, Any]:
+        return a.payload, b.payload if b else None
+
+
+class Ran:
+    """What a run left."""
+
+    def __init__(self, scheduler: Scheduler, statistics: Statistics, seconds: float) -> None:
+        self.scheduler = scheduler
+        self.statistics = statistics
+        self.seconds = seconds
+        self.ledger = scheduler.books.ledger()
+        self.runs = scheduler.books.runs()
+
+
+def drive(
+    nodes: Sequence[StageNode],
+    stages: Mapping[str, Stage],
+    sources: Mapping[str, Iterator[Message[Any]]],
+    *,
+    live: bool,
+    duration_s: float | None = None,
+    during: Callable[[LiveDriver | OfflineDriver], None] | None = None,
+) -> Ran:
+    """Run stages over sources; `during` is called with the driver at every tick."""
+    topology = Topology(tuple(nodes))
+    statistics = Statistics(offline=not live)
+    scheduler = Scheduler(topology, offline=not live, observer=statistics)
+    workers = {node.name: Worker(node, stages[node.name]) for node in nodes if node.inputs}
+
+    def on_failure(stage: str, error: BaseException, text: str) -> None:
+        statistics.failures.append(f"{stage}: {error}")
+
+    driver: LiveDriver | OfflineDriver
+    if live:
+        clock = ScaledClock(0)
+        driver = LiveDriver(
+            topology, scheduler, workers, dict(sources), clock, statistics, on_failure
+        )
+    else:
+        driver = OfflineDriver(topology, scheduler, workers, dict(sources), statistics, on_failure)
+    started = time.monotonic()
+    driver.run(duration_s, (lambda: during(driver)) if during else (lambda: None))
+    return Ran(scheduler, statistics, time.monotonic() - started)
