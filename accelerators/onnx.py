@@ -1,0 +1,98 @@
+"""ONNX Runtime on the CPU."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import DeviceError, ModelError
+from pipeline.model import Model, Native, Probe, TensorSpec
+
+_PROVIDER = "CPUExecutionProvider"
+_DTYPES = {
+    "tensor(float)": "float32",
+    "tensor(float16)": "float16",
+    "tensor(double)": "float64",
+    "tensor(uint8)": "uint8",
+    "tensor(int8)": "int8",
+    "tensor(int32)": "int32",
+    "tensor(int64)": "int64",
+}
+
+
+class Onnx:
+    """Runs .onnx files on the CPU with `threads` threads per model."""
+
+    kinds: tuple[str, ...] = ("onnx",)
+
+    def __init__(self, *, threads: int = 1) -> None:
+        if threads < 1:
+            raise ValueError(f"threads must be at least 1, not {threads}")
+        self.threads = threads
+
+    def probe(self) -> Probe:
+        try:
+            runtime = _runtime()
+        except DeviceError as error:
+            return Probe(False, "", "", str(error))
+        return Probe(True, "CPU", f"onnxruntime {runtime.__version__}")
+
+    def load(self, path: str, variant: Mapping[str, Any]) -> Model:
+        runtime = _runtime()
+        if not Path(path).is_file():
+            raise ModelError(f"{path}: no such file")
+        options = runtime.SessionOptions()
+        options.intra_op_num_threads = self.threads
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        # A spinning pool waits for the next frame at full load: at 10 Hz with two threads 60
+        # instead of 30 CPU ms per inference.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        try:
+            session = runtime.InferenceSession(path, options, providers=[_PROVIDER])
+        except Exception as error:  # its exceptions have no common base but Exception
+            raise ModelError(f"{path}: {str(error).strip()}") from error
+        if session.get_providers() != [_PROVIDER]:
+            raise DeviceError(f"{path}: asked for {_PROVIDER}, got {session.get_providers()}")
+        return OnnxModel(session, path)
+
+    def close(self) -> None:
+        """Nothing is held beyond the models."""
+
+
+class OnnxModel:
+    """One session."""
+
+    def __init__(self, session: Any, path: str) -> None:
+        self._session = session
+        self._path = path
+        self.inputs: Mapping[str, TensorSpec] = _specs(session.get_inputs())
+        self.outputs: Mapping[str, TensorSpec] = _specs(session.get_outputs())
+
+    def infer(self, inputs: Native) -> Native:
+        try:
+            found = self._session.run(None, dict(inputs))
+        except Exception as error:  # as above
+            raise DeviceError(f"{self._path}: {str(error).strip()}") from error
+        return dict(zip(self.outputs, found, strict=True))
+
+
+def _specs(nodes: Any) -> Mapping[str, TensorSpec]:
+    return {
+        node.name: TensorSpec(
+            tuple(size if isinstance(size, int) else -1 for size in node.shape),
+            _DTYPES.get(node.type, node.type),
+        )
+        for node in nodes
+    }
+
+
+def _runtime() -> Any:
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise DeviceError(
+            f"onnxruntime does not start ({error}): pip install onnxruntime"
+        ) from error
+    return onnxruntime

@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+import csv
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tiny_models import write_onnx, write_tflite
+
+from accelerators.emulated import Emulated
+from accelerators.litert import TfliteCpu
+from accelerators.onnx import Onnx
+from accelerators.openvino import OpenVino
+from accelerators.registry import Registry
+from pipeline.errors import ModelError
+from pipeline.model import Tensor
+
+ENTRY = """
+models:
+  tiny:
+    description: relu
+    license: Apache-2.0
+    source: the tests
+    input: {{name: x, shape: [2, 3, 3], dtype: float32}}
+    head: {{kind: none, answer: 42}}
+    variants:
+      - {variant}
+"""
+
+
+def registry(tmp_path: Path, variant: str) -> Registry:
+    path = tmp_path / "mine.yaml"
+    path.write_text(ENTRY.format(variant=variant))
+    return Registry.open(path)
+
+
+def test_the_shipped_registry_reads_and_runs_on_emulated_devices() -> None:
+    models = Registry.open()
+    for name in ("segment-rgb", "detect-rgb", "detect-thermal", "segment-scan"):
+        device = Emulated(latency_ms={name: 0.0})
+        assert models.check(name, device) is None
+        model = models.load(name, device)
+        spec = model.spec
+        zeros = np.zeros((1, *spec.input_shape), spec.input_dtype)
+        found = model.decode(model.infer(model.encode({spec.input_name: Tensor(zeros)})))
+        assert all(len(tensor.array) == 1 for tensor in found.values())
+
+
+def test_the_shipped_sums_are_those_of_the_manifest(shared: Path) -> None:
+    with (shared / "models" / "MANIFEST.tsv").open() as file:
+        sums = {row["file"]: row["sha256"] for row in csv.DictReader(file, delimiter="\t")}
+    models = Registry.open()
+    for name in models.names():
+        for variant in models.entry(name).variants:
+            if variant.file:
+                assert variant.sha256 == sums[variant.file]
+            if variant.weights:
+                assert variant.weights_sha256 == sums[variant.weights]
+
+
+def test_every_shipped_file_loads_on_every_device_of_its_kind(shared: Path) -> None:
+    models = Registry.open()
+    loaded = []
+    for device in (TfliteCpu(), OpenVino(), Onnx()):
+        for name in models.names():
+            if models.check(name, device) is None:
+                models.load(name, device)
+                loaded.append((name, type(device).__name__))
+    assert len(loaded) == 7
+
+
+def test_a_users_file_adds_a_model_that_loads_from_beside_it(tmp_path: Path) -> None:
+    write_tflite(tmp_path / "tiny.tflite")
+    sha256 = hashlib.sha256((tmp_path / "tiny.tflite").read_bytes()).hexdigest()
+    models = registry(
+        tmp_path, f"{{kind: tflite, file: tiny.tflite, sha256: {sha256}, outputs: {{y: {{}}}}}}"
+    )
+    model = models.load("tiny", TfliteCpu())
+    x = np.random.default_rng(0).normal(size=(1, 2, 3, 3)).astype(np.float32)
+    found = model.decode(model.infer(model.encode({"x": Tensor(x)})))
+    np.testing.assert_array_equal(found["y"].array, np.maximum(x, 0))
+    assert model.spec.head == {"kind": "none", "class_map": {}, "answer": 42}
+    assert "segment-rgb" in models.names()
+
+
+def test_a_device_takes_the_variant_it_runs_best(tmp_path: Path) -> None:
+    write_onnx(tmp_path / "tiny.onnx")
+    variants = "{kind: emulated, outputs: {y: {shape: [1]}}}\n      - {kind: onnx, file: tiny.onnx}"
+    models = registry(tmp_path, variants)
+    for device in (Onnx(), OpenVino()):
+        assert models.check("tiny", device) is None
+    said = models.check("tiny", TfliteCpu())
+    assert said == (
+        "model 'tiny' has no variant for TfliteCpu, which runs tflite; it has emulated, onnx"
+    )
+
+
+def test_a_missing_file_is_named_with_where_it_was_looked_for(tmp_path: Path) -> None:
+    models = registry(tmp_path, "{kind: tflite, file: gone.tflite}")
+    said = models.check("tiny", TfliteCpu())
+    assert said is not None
+    assert said.startswith("model 'tiny': no file gone.tflite in ")
+    assert str(tmp_path) in said
+    assert "source: the tests" in said
+
+
+def test_a_later_file_may_only_name_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "files").mkdir()
+    write_tflite(tmp_path / "files" / "tiny.tflite")
+    registry(tmp_path, "{kind: tflite, file: tiny.tflite}")
+    (tmp_path / "roots.yaml").write_text("roots: [files]\n")
+    models = Registry.open(tmp_path / "mine.yaml", tmp_path / "roots.yaml")
+    assert models.check("tiny", TfliteCpu()) is None
+
+
+def test_a_changed_file_is_refused_with_both_sums(tmp_path: Path) -> None:
+    write_tflite(tmp_path / "tiny.tflite")
+    models = registry(tmp_path, f"{{kind: tflite, file: tiny.tflite, sha256: {'a' * 64}}}")
+    with pytest.raises(
+        ModelError, match=rf"has sha256 [0-9a-f]{{64}}, the registry says {'a' * 64}"
+    ):
+        models.load("tiny", TfliteCpu())
+
+
+def test_an_unknown_model_is_answered_with_the_nearest_name() -> None:
+    with pytest.raises(ModelError, match="no model 'segment-rbg'; did you mean 'segment-rgb'"):
+        Registry.open().spec("segment-rbg")
+
+
+@pytest.mark.parametrize(
+    ("outputs", "said"),
+    [
+        ("{y: {name: z}}", r"output 'y' is named 'z' in the registry; the file has y1"),
+        ("{y: {shape: [1, 9]}}", r"has shape \(1, 2, 3, 3\) in the file, \(1, 9\) in the registry"),
+        ("{y: {scale: 0.5}}", "has scale 0.0 in the file, 0.5 in the registry"),
+    ],
+)
+def test_an_output_that_differs_from_the_entry_is_refused(
+    tmp_path: Path, outputs: str, said: str
+) -> None:
+    write_tflite(tmp_path / "tiny.tflite")
+    models = registry(tmp_path, f"{{kind: tflite, file: tiny.tflite, outputs: {outputs}}}")
+    with pytest.raises(ModelError, match=said):
+        models.load("tiny", TfliteCpu())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("models: {a: {description: x}}", "mine.yaml: models.a.license: Field required"),
+        ("modles: {}", "mine.yaml: modles: Extra inputs are not permitted"),
+        ("a: [1", "mine.yaml: is not YAML"),
+        ("- 1", "mine.yaml: the file: "),
+    ],
+)
+def test_a_wrong_file_is_answered_with_the_place(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(ModelError, match=said):
+        Registry.open(path)
+
+
+def test_a_registry_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"none\.yaml: cannot be read"):
+        Registry.open(tmp_path / "none.yaml")
