@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.errors import DataError
 from pipeline.message import Span
 
 CHANNELS = 16  #: width of a row of class scores
@@ -116,6 +118,9 @@ class Cloud:
         NDArray[np.float64] | None
     )  #: (4, 4) at the message's stamp, where poses are known
     sensor: str
+    times_ns: NDArray[np.int32] | None = (
+        None  #: (n,) as in `Scan`; None: all points are where they were at the stamp
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +152,10 @@ class Camera:
         0.0,
     )  #: k1 k2 p1 p2 k3
 
+    def intrinsics(self) -> NDArray[np.float64]:
+        """(9,) fx fy cx cy k1 k2 p1 p2 k3, as the kernels take it."""
+        return np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorCalibration:
@@ -163,10 +172,35 @@ class Calibration:
 
     sensors: Mapping[str, SensorCalibration] = field(default_factory=dict)
 
+    @classmethod
+    def parse(cls, block: Mapping[str, Any]) -> Calibration:
+        """Read the ``calibration:`` block of a graph file; raises ValueError naming the key.
+
+        Per sensor: ``base_from_sensor``, a (4, 4) or (3, 4) nested list, or
+        ``{translation: [x, y, z], quaternion: [x, y, z, w]}``, or ``{translation: ...,
+        rotation_rpy_deg: [roll, pitch, yaw]}`` (m, degrees, about the fixed x, y, z axes in this
+        order); a camera has ``camera: {size: [width, height], fx, fy, cx, cy,
+        distortion: [k1, k2, p1, p2, k3]}`` as well.
+        """
+        from stages.calibration import parse_sensor
+
+        return cls({str(name): parse_sensor(str(name), sensor) for name, sensor in block.items()})
+
     def sensor(self, name: str) -> SensorCalibration:
-        """The named sensor; raises KeyError with the known names."""
+        """The named sensor; raises DataError with the known names."""
         try:
             return self.sensors[name]
         except KeyError:
             known = ", ".join(sorted(self.sensors)) or "none"
-            raise KeyError(f"no calibration for sensor '{name}' (known: {known})") from None
+            raise DataError(f"no calibration for sensor '{name}' (known: {known})") from None
+
+    def cameras(self) -> tuple[str, ...]:
+        """The names of the sensors that have a camera model."""
+        return tuple(name for name, sensor in self.sensors.items() if sensor.camera is not None)
+
+    def camera(self, name: str) -> Camera:
+        """The camera model of the named sensor; raises DataError if it has none."""
+        camera = self.sensor(name).camera
+        if camera is None:
+            raise DataError(f"calibration of '{name}' has no camera; add camera: {{size, fx, ...}}")
+        return camera

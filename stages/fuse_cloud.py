@@ -1,0 +1,220 @@
+"""Fuse what cameras and detectors say into the points of a LiDAR scan (eq 1-4)."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Mapping
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import StageError
+from pipeline.message import Message, Span
+from pipeline.stage import Stage
+from stages.frames import View, look, map_from_sensor, mounted
+from stages.kernels.cluster import foreground, points_in_box
+from stages.kernels.compiled import as_input, locked
+from stages.kernels.geometry import deskew, has_return, interpolate_poses, invert, sweep_knots
+from stages.kernels.probability import accumulate, add_detection, bound_rows, uniform_rows
+from stages.kernels.sampling import sample_scores
+from stages.taxonomy import load_taxonomy
+from stages.types import (
+    CHANNELS,
+    Calibration,
+    ClassScores,
+    Cloud,
+    Detections,
+    Pose,
+    Scan,
+    Trajectory,
+)
+
+log = logging.getLogger(__name__)
+
+
+class FuseCloud(Stage):
+    """Points with the product of all evidence: of the LiDAR network, of images and of boxes.
+
+    `cloud` is a bare scan (camera evidence only) or one with class scores. A point that no camera
+    sees and no box claims keeps what the LiDAR network said of it, and is unlabeled without one.
+
+    With a `trajectory`, each camera sees the scan from where the vehicle was at the image's stamp
+    (eq 1), a scan with times is moved into the sensor's frame at its stamp, and the result says
+    where that frame lies in the map. Evidence at an instant that the poses do not cover is left
+    out; without any pose the vehicle is taken as standing still. `statistics` counts both.
+    """
+
+    def __init__(
+        self,
+        *,
+        calibration: Calibration,
+        min_range_m: float = 1.0,
+        foreground_m: float = 1.0,
+    ) -> None:
+        """`min_range_m` leaves out the vehicle itself. `foreground_m`: how far from the 25 %
+        quantile of its points' distances a detected object reaches.
+        """
+        for name, value in (("min_range_m", min_range_m), ("foreground_m", foreground_m)):
+            if not value >= 0:
+                raise ValueError(f"{name} must be at least 0, not {value}")
+        self._calibration = calibration
+        self._min_range_m = min_range_m
+        self._foreground_m = foreground_m
+        self._classes = len(load_taxonomy())
+        self._counts: Counter[str] = Counter()
+
+    def open(self) -> None:
+        """Compile the kernels (or load them from the cache) now, not during the first scan."""
+        for camera in self._calibration.cameras()[:1]:
+            point, now = np.ones((1, 3), dtype=np.float32), np.zeros(1, dtype=np.int32)
+            scan = Message.at(0, Scan(point, None, now, None, camera))
+            box = np.array([[0, 0, 1, 1]], dtype=np.float32)
+            found = Detections(box, np.ones(1, np.int64), np.ones(1, np.float32), camera)
+            poses = tuple(Message.at(stamp, Pose(np.eye(4))) for stamp in (0, 1))
+            for kind in (np.float32, np.int8, np.uint8):
+                grid = np.zeros((1, 2, 2, CHANNELS), dtype=kind)
+                image = ClassScores(grid, box, 1.0, 0, False, camera, (1, 1))
+                self.process(scan, (Message.at(0, image),), (Message.at(0, found),), poses)
+        self._counts.clear()
+
+    def statistics(self) -> Mapping[str, int]:
+        """What was left out so far, by reason."""
+        return dict(self._counts)
+
+    def process(
+        self,
+        cloud: Message[Scan | Cloud],
+        scores: tuple[Message[ClassScores] | None, ...] = (),
+        boxes: tuple[Message[Detections] | None, ...] = (),
+        trajectory: Span[Pose] = (),
+    ) -> Cloud:
+        path = Trajectory.of(trajectory) if trajectory else None
+        sensor = cloud.payload.sensor
+        map_from_lidar = self._map_from(sensor, cloud.stamp, path)
+        points = as_input(self._points_at_stamp(cloud, path, map_from_lidar))
+        usable = has_return(points, self._min_range_m)
+        total, evidence = self._prior(cloud.payload, usable)
+
+        @cache
+        def view_of(camera: str, stamp: int) -> View | None:
+            model = self._calibration.camera(camera)
+            if path is None:
+                return look(model, points, usable, mounted(self._calibration, camera, sensor))
+            map_from_camera = self._map_from(camera, stamp, path)
+            if map_from_camera is None or map_from_lidar is None:
+                return None
+            return look(model, points, usable, invert(map_from_camera) @ map_from_lidar)
+
+        for image in scores:
+            if image and (view := view_of(image.payload.camera, image.stamp)):
+                self._add_scores(total, evidence, view, image.payload)
+        for found in boxes:
+            if found and (view := view_of(found.payload.camera, found.stamp)):
+                self._add_boxes(total, evidence, view, found.payload)
+        return Cloud(points, total, evidence, map_from_lidar, sensor)
+
+    def _map_from(
+        self, sensor: str, stamp: int, path: Trajectory | None
+    ) -> NDArray[np.float64] | None:
+        """The sensor's pose in the map at `stamp`; None, and counted, where no pose covers it."""
+        if path is None:
+            return None
+        pose = map_from_sensor(self._calibration, sensor, stamp, path)
+        if pose is None:
+            self._leave_out(f"{sensor} without a pose at its stamp", stamp)
+        return pose
+
+    def _points_at_stamp(
+        self,
+        cloud: Message[Scan | Cloud],
+        path: Trajectory | None,
+        map_from_lidar: NDArray[np.float64] | None,
+    ) -> NDArray[np.float32]:
+        """The points in the sensor's frame at the stamp: moved there where they carry times."""
+        points, times_ns = cloud.payload.points, cloud.payload.times_ns
+        if times_ns is None or len(points) == 0 or path is None or map_from_lidar is None:
+            return points
+        knots = sweep_knots(int(times_ns.min()), int(times_ns.max()))
+        poses, covered = interpolate_poses(path.stamps, path.map_from_base, cloud.stamp + knots)
+        if not covered.all():
+            self._leave_out("deskew: no pose over the whole sweep", cloud.stamp)
+            return points
+        base_from_lidar = self._calibration.sensor(cloud.payload.sensor).base_from_sensor
+        motion = invert(map_from_lidar) @ poses @ base_from_lidar
+        moved: NDArray[np.float32] = deskew(
+            as_input(points), as_input(times_ns), int(knots[0]), int(knots[-1]), motion
+        )
+        return moved
+
+    def _prior(
+        self, cloud: Scan | Cloud, usable: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """What the LiDAR network said, or nothing."""
+        if isinstance(cloud, Scan):
+            return uniform_rows(len(cloud.points), self._classes), np.zeros_like(usable)
+        if cloud.log_scores.shape != (len(cloud.points), CHANNELS):
+            raise StageError(
+                f"cloud of '{cloud.sensor}': log_scores of shape {cloud.log_scores.shape} for "
+                f"{len(cloud.points)} points; give (points, {CHANNELS})"
+            )
+        total = cloud.log_scores.copy()
+        sound = bound_rows(total, self._classes)
+        self._counts["points with spoiled LiDAR scores"] += int(np.sum(~sound))
+        return total, cloud.evidence & usable & sound
+
+    def _add_scores(
+        self,
+        total: NDArray[np.float32],
+        evidence: NDArray[np.bool_],
+        view: View,
+        image: ClassScores,
+    ) -> None:
+        if image.grid.ndim != 4 or image.grid.shape[3] != CHANNELS:
+            raise StageError(
+                f"scores of '{image.camera}': grid of shape {image.grid.shape}; "
+                f"give (tiles, rows, columns, {CHANNELS})"
+            )
+        rows, said = sample_scores(
+            locked(image.grid),
+            as_input(image.rects),
+            image.scale,
+            float(image.zero_point),
+            image.align_corners,
+            view.pixel,
+            self._classes,
+        )
+        sound = bound_rows(rows, self._classes)
+        self._counts["points with spoiled image scores"] += int(np.sum(~sound))
+        accumulate(total, evidence, view.index, rows, said & sound, self._classes)
+
+    def _add_boxes(
+        self,
+        total: NDArray[np.float32],
+        evidence: NDArray[np.bool_],
+        view: View,
+        found: Detections,
+    ) -> None:
+        """Each point gets only the strongest box of a class: boxes of one detector overlap."""
+        claimed = np.zeros((self._classes, len(view.index)), dtype=np.bool_)
+        for number in np.argsort(-found.scores, kind="stable"):
+            box, label = as_input(found.boxes[number]), int(found.classes[number])
+            if not 0 <= label < self._classes:
+                raise StageError(
+                    f"boxes of '{found.camera}': class {label} is none of the taxonomy's "
+                    f"0..{self._classes - 1}"
+                )
+            members = points_in_box(view.pixel, box)
+            members = members[foreground(view.distance[members], self._foreground_m)]
+            members = members[~claimed[label, members]]
+            claimed[label, members] = True
+            score = float(found.scores[number])
+            add_detection(
+                total, evidence, view.index, view.pixel, members, box, score, label, self._classes
+            )
+
+    def _leave_out(self, what: str, stamp: int) -> None:
+        if not self._counts[what]:
+            log.warning("%s (first at stamp %d); counted from here on", what, stamp)
+        self._counts[what] += 1
