@@ -1,0 +1,39 @@
+# Every target is enough on its own: from a fresh clone with only Python (>= 3.11) and make.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.DEFAULT_GOAL := help
+.PHONY: help venv demo test test-fast check bench clean
+
+help:  ## Say what each target does
+	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+
+venv: .venv/installed  ## Make the virtual environment .venv with everything in it
+
+.venv/installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit("Overflight needs Python 3.11 or newer: make PYTHON=python3.11 ..." if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+demo: venv  ## Run the paper's whole graph on emulated sensors and devices for 15 s
+	$(BIN)/overflight run graphs/emulated_uav.yaml --duration 15 --out out/demo --report out/demo/report.json
+
+test: venv  ## Run all tests
+	$(BIN)/python -m pytest
+
+test-fast: venv  ## Run the tests that take under a minute together
+	$(BIN)/python -m pytest -m "not slow"
+
+check: venv  ## Check formatting, lint, types and tests; changes no file (what CI runs)
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+bench: venv  ## Measure the figures of BENCHMARK.md on this machine
+	$(BIN)/python -m tools.bench
+
+clean:  ## Remove what the other targets made
+	rm -rf .venv out/demo build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis *.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

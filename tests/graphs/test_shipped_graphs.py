@@ -1,0 +1,72 @@
+"""Every graph file that ships loads and runs, and the picture in the README is the graph's."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from pipeline.drivers.run import RunResult, run_graph
+from pipeline.graph.spec import graph_schema
+from tools.diagram import Diagram
+from tools.load import open_graph
+from tools.svg import svg
+
+GRAPHS = Path(__file__).resolve().parents[2] / "graphs"
+EMULATED = GRAPHS / "emulated_uav.yaml"
+
+#: Graphs that need a recording, and the folder of ../shared/data that they are tested with.
+RECORDED = {"drive.yaml": "kitti_drive_lite108"}
+
+
+def settings(name: str, request: pytest.FixtureRequest) -> list[str]:
+    """What a graph needs to run here; skips where that is absent."""
+    if name not in RECORDED:
+        return []
+    shared: Path = request.getfixturevalue("shared")
+    return [f"parameters.recording={shared / 'data' / RECORDED[name]}"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(path.name for path in GRAPHS.glob("*.yaml")))
+def test_a_shipped_graph_loads_and_runs_offline(
+    name: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    graph, catalog = open_graph(GRAPHS / name, settings(name, request), out=tmp_path)
+    result = run_graph(graph, catalog, speed=None, duration_s=1.0)
+    assert result.failures == ()
+    assert_all_ran(result)
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_the_demo_runs_live(tmp_path: Path) -> None:
+    graph, catalog = open_graph(EMULATED, out=tmp_path)
+    result = run_graph(graph, catalog, duration_s=2.0)
+    assert result.failures == ()
+    assert_all_ran(result)
+
+
+def assert_all_ran(result: RunResult) -> None:
+    assert result.report["ledger_balanced"]
+    idle = [name for name, output in result.report["outputs"].items() if not output["count"]]
+    assert not idle
+
+
+def test_the_picture_is_that_of_the_graph() -> None:
+    graph, _ = open_graph(EMULATED)
+    drawn = svg(Diagram.of(graph)) + "\n"
+    assert EMULATED.with_suffix(".svg").read_text() == drawn, (
+        "draw it again: overflight graph graphs/emulated_uav.yaml -o graphs/emulated_uav.svg"
+    )
+
+
+def test_the_schema_beside_the_graphs_is_the_one_that_the_code_gives() -> None:
+    assert json.loads((GRAPHS / "graph.schema.json").read_text()) == graph_schema()
+
+
+@pytest.mark.parametrize("path", sorted(GRAPHS.glob("*.yaml")), ids=lambda path: path.name)
+def test_a_shipped_graph_names_its_schema_for_editors(path: Path) -> None:
+    first = path.read_text().splitlines()[0]
+    assert first == "# yaml-language-server: $schema=./graph.schema.json"

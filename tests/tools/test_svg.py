@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+from tools.diagram import Arrow, Box, Diagram, Socket
+from tools.svg import svg
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def drawn(diagram: Diagram) -> ElementTree.Element:
+    return ElementTree.fromstring(svg(diagram))
+
+
+def pair(name: str = "fuse<&>", devices: tuple[str, ...] = ("igpu", "cpu")) -> Diagram:
+    socket = Socket("image", "nearest", "nearest ±70 ms")
+    return Diagram(
+        "pair",
+        (
+            Box("camera", "m:Camera", (), None, (), ("out",)),
+            Box(name, "m:Fuse", devices, "net", (socket,), ("labels", "debug")),
+        ),
+        (Arrow("camera", "out", name, "image", "nearest", "nearest ±70 ms"),),
+    )
+
+
+def test_names_devices_and_rules_are_written_out() -> None:
+    texts = {"".join(text.itertext()) for text in drawn(pair()).iter(f"{SVG}text")}
+    assert {"camera", "fuse<&>", "igpu → cpu", "imagenearest ±70 ms", "labels", "debug"} <= texts
+
+
+def test_a_synchronized_edge_is_dashed() -> None:
+    edge = next(path for path in drawn(pair()).iter(f"{SVG}path") if path.get("stroke-width"))
+    assert edge.get("stroke-dasharray")
+
+
+def test_stages_on_other_devices_have_other_colors() -> None:
+    first = svg(pair(devices=("igpu", "cpu")))
+    fills = {box.get("fill") for box in drawn(pair()).iter(f"{SVG}rect")}
+    assert len(fills) >= 5  # paper, card, sensor, igpu, cpu
+    assert first != svg(pair(devices=("cpu", "igpu")))
+
+
+def test_everything_lies_inside_the_picture() -> None:
+    picture = drawn(pair())
+    _, _, width, height = map(float, picture.get("viewBox", "").split())
+    for box in list(picture.iter(f"{SVG}rect"))[1:]:
+        assert float(box.get("x", "nan")) >= 0
+        assert float(box.get("x", "nan")) + float(box.get("width", "nan")) <= width
+        assert float(box.get("y", "nan")) >= 0
+        assert float(box.get("y", "nan")) + float(box.get("height", "nan")) <= height
+
+
+def test_an_empty_graph_is_an_empty_picture() -> None:
+    assert drawn(Diagram("nothing", (), ())).get("viewBox")

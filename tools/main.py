@@ -1,0 +1,342 @@
+"""The command `overflight`: reads the words, hands the work on, and gives the exit code.
+
+Everything heavy is imported inside the command that needs it, so that `--help` answers at once.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.errors import DeviceError, GraphError, OverflightError, StageError
+
+PACKAGES = ("pipeline", "accelerators", "stages", "graphs", "tools")
+
+RUN_FAILED = 1
+USER_MISTAKE = 2
+
+app = typer.Typer(
+    name="overflight",
+    epilog="Exit codes: 0 well, 1 a run failed, 2 a mistake in the file or the words.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+class Drawing(StrEnum):
+    """The forms that `overflight graph` draws in."""
+
+    MERMAID = "mermaid"
+    DOT = "dot"
+    SVG = "svg"
+
+
+GraphFile = Annotated[
+    Path, typer.Argument(metavar="GRAPH", help="The graph file.", show_default=False)
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Set one value of the file, e.g. parameters.voxel_m=0.1. Paths in it are relative "
+        "to the working folder. Repeatable.",
+        show_default=False,
+    ),
+]
+Overlays = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--overlay",
+        metavar="FILE",
+        help="Merge this file over the graph file. Repeatable; the last one wins.",
+        show_default=False,
+    ),
+]
+ModelFiles = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--models",
+        metavar="FILE",
+        help="A further model registry beside the shipped one. Repeatable.",
+        show_default=False,
+    ),
+]
+Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder that $out stands for.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+
+
+def parse_speed(text: str) -> float | None:
+    """A factor of real time, or None for "max": as fast as the machine can, offline."""
+    if text == "max":
+        return None
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = 0.0
+    if not 0 < speed < float("inf"):
+        raise typer.BadParameter(f"'{text}' is neither a number above 0 nor 'max'")
+    return speed
+
+
+@app.command(
+    epilog="Example: overflight run graphs/drive.yaml --set parameters.recording=my_drive "
+    "--speed max --out out/ --report out/report.json"
+)
+def run(
+    graph: GraphFile,
+    settings: Settings = None,
+    overlays: Overlays = None,
+    models: ModelFiles = None,
+    speed: Annotated[
+        str,
+        typer.Option(
+            metavar="FACTOR",
+            help="1: real time. 2: twice as fast. max: offline, nothing is dropped and every run "
+            "gives the same result.",
+        ),
+    ] = "1",
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            min=0.0,
+            help="Stop after so much time of the graph's clock. Ctrl-C stops earlier.",
+            show_default="until the sources end",
+        ),
+    ] = None,
+    out: Out = Path("out"),
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write rates, ages and losses as JSON.", show_default=False
+        ),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the report as JSON instead of a table.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", help="No progress and no table; errors only.")
+    ] = False,
+) -> None:
+    """Run a graph until its sources end, --duration is over, or Ctrl-C."""
+    factor = parse_speed(speed)
+    from tools.run import run_file
+
+    failures = run_file(
+        graph,
+        settings=settings or (),
+        overlays=overlays or (),
+        models=models or (),
+        speed=factor,
+        duration_s=duration,
+        out=out,
+        report=report,
+        as_json=as_json,
+        quiet=quiet,
+    )
+    for failure in failures:
+        complain(failure)
+    if failures:
+        raise typer.Exit(RUN_FAILED)
+
+
+@app.command(epilog="Example: overflight validate graphs/drive.yaml --overlay at_home.yaml")
+def validate(
+    graph: GraphFile,
+    settings: Settings = None,
+    overlays: Overlays = None,
+    models: ModelFiles = None,
+    out: Out = Path("out"),
+    as_json: AsJson = False,
+) -> None:
+    """Find every mistake in a graph file without running it."""
+    from tools.validate import validate_file
+
+    valid = validate_file(
+        graph,
+        settings=settings or (),
+        overlays=overlays or (),
+        models=models or (),
+        out=out,
+        as_json=as_json,
+    )
+    if not valid:
+        raise typer.Exit(USER_MISTAKE)
+
+
+@app.command(name="graph", epilog="Example: overflight graph graphs/drive.yaml -o drive.svg")
+def draw(
+    graph: GraphFile,
+    settings: Settings = None,
+    overlays: Overlays = None,
+    models: ModelFiles = None,
+    form: Annotated[
+        Drawing | None,
+        typer.Option(
+            "--format", help="How to draw.", show_default="the ending of -o, else mermaid"
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="FILE", help="Write to a file.", show_default="print"
+        ),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print stages and edges as JSON instead of a drawing.")
+    ] = False,
+) -> None:
+    """Draw a graph: its stages, devices and edges."""
+    from tools.diagram import Diagram
+    from tools.load import open_graph
+
+    loaded, _ = open_graph(graph, settings or (), overlays or (), models or ())
+    diagram = Diagram.of(loaded)
+    if form is None:
+        ending = output.suffix.lstrip(".") if output else ""
+        form = Drawing(ending) if ending in list(Drawing) else Drawing.MERMAID
+    if as_json:
+        emit(diagram.json(), output)
+    elif form is Drawing.SVG:
+        from tools.svg import svg
+
+        emit(svg(diagram), output)
+    else:
+        emit(diagram.dot() if form is Drawing.DOT else diagram.mermaid(), output)
+
+
+@app.command(
+    epilog="Example: overflight inspect detect, or my_stages:MyStage of the working folder"
+)
+def inspect(
+    stage: Annotated[
+        str,
+        typer.Argument(
+            metavar="STAGE",
+            help="module:Class as in a graph file, or the short name of a shipped stage.",
+            show_default=False,
+        ),
+    ],
+    as_json: AsJson = False,
+) -> None:
+    """Show a stage class: what it does, its ports, its options."""
+    from tools.show import find_stage, stage_json, stage_text
+
+    cls = find_stage(stage)
+    typer.echo(stage_json(cls) if as_json else stage_text(cls))
+
+
+@app.command()
+def stages(as_json: AsJson = False) -> None:
+    """List the stage classes that ship."""
+    from tools.show import stages_json, stages_text
+
+    typer.echo(stages_json() if as_json else stages_text())
+
+
+@app.command(epilog="Example: overflight schema -o graph.schema.json")
+def schema(
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="FILE", help="Write to a file.", show_default="print"
+        ),
+    ] = None,
+) -> None:
+    """Print the JSON schema of the graph file, for editors."""
+    from pipeline.graph.spec import graph_schema
+
+    emit(json.dumps(graph_schema(), indent=2), output)
+
+
+@app.command()
+def version(as_json: AsJson = False) -> None:
+    """Print the version; with --json also those of Python and the runtimes."""
+    from tools.versions import own_version, versions
+
+    typer.echo(json.dumps(versions(), indent=2) if as_json else f"overflight {own_version()}")
+
+
+def print_version(wanted: bool) -> None:
+    """Answer `--version` before anything else is read."""
+    if wanted:
+        version(as_json=False)
+        raise typer.Exit
+
+
+@app.callback()
+def before_any_command(
+    _version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=print_version, is_eager=True, help="Print the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """Run multi-rate sensor perception from one graph file."""
+
+
+def emit(text: str, output: Path | None) -> None:
+    """Print the text, or write it to a file."""
+    if output is None:
+        typer.echo(text)
+        return
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        output.write_text(text if text.endswith("\n") else text + "\n")
+    except OSError as error:
+        raise typer.BadParameter(f"cannot write {output}: {error.strerror}") from None
+
+
+def complain(text: str) -> None:
+    """One red line on stderr."""
+    typer.secho(text, fg=typer.colors.RED, err=True)
+
+
+def shadowed() -> str | None:
+    """A sentence if another distribution's package would be imported in place of one of ours.
+
+    Our top-level names are generic; whatever comes first on `sys.path` wins.
+    """
+    home = Path(__file__).resolve().parent.parent
+    for name in PACKAGES:
+        spec = importlib.util.find_spec(name)
+        found = Path(spec.origin).resolve().parent if spec and spec.origin else None
+        if found != home / name:
+            return (
+                f"another package '{name}' ({found or 'not importable'}) hides Overflight's in "
+                f"{home}; install overflight in a virtual environment of its own"
+            )
+    return None
+
+
+def main() -> None:
+    """The console script: an error of ours is one line on stderr, any other keeps its traceback."""
+    problem = shadowed()
+    if problem:
+        complain(problem)
+        sys.exit(USER_MISTAKE)
+    # Custom stages are imported from the working folder; last, so that it hides nothing of ours.
+    sys.path.append(str(Path.cwd()))
+    try:
+        app()
+    except GraphError as error:
+        from tools.validate import print_mistakes
+
+        print_mistakes(error.mistakes)
+        sys.exit(USER_MISTAKE)
+    except OverflightError as error:
+        complain(str(error))
+        sys.exit(RUN_FAILED if isinstance(error, (DeviceError, StageError)) else USER_MISTAKE)
+
+
+if __name__ == "__main__":
+    main()

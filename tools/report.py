@@ -1,0 +1,92 @@
+"""The end of a run for a person: what came out, how old it was, and what was lost and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+#: The ledger's reasons (`pipeline.scheduling.events.Reason`) in a newcomer's words.
+WHY = {
+    "replaced": "a newer one came before the stage was free",
+    "queue_full": "the queue was full",
+    "passed_over": "no input set needed it",
+    "decimated": "rate_hz keeps fewer",
+    "not_wanted": "nothing downstream asked for it",
+    "too_old": "older than max_age_ms",
+    "set_skipped": "a required input was missing",
+    "lost_in_transport": "lost between processes",
+    "stage_stopped": "the stage had stopped",
+    "end": "unused when the run ended",
+}
+
+
+def print_report(report: Mapping[str, Any], console: Console) -> None:
+    """Print the tables of a report as `run --report` writes it."""
+    console.print(f"\n[bold]{report['graph']}[/bold] ran {report['wall_s']:.1f} s\n")
+    console.print(_outputs(report["outputs"]))
+    console.print(
+        "Age: from the oldest sensor sample that went in until the output.\n", style="dim"
+    )
+    lossy = {edge: book for edge, book in report["edges"].items() if any(book["dropped"].values())}
+    if lossy:
+        console.print(_losses(lossy))
+        reasons = {
+            reason for book in lossy.values() for reason, count in book["dropped"].items() if count
+        }
+        for reason in (reason for reason in WHY if reason in reasons):
+            console.print(f"{reason}: {WHY[reason]}", style="dim", highlight=False)
+        console.print()
+    for name, stage in report["stages"].items():
+        if stage["errors"]:
+            end = ", and it stopped" if stage["stopped"] else ""
+            failed = f"{name}: {stage['errors']} of {stage['runs']} runs failed{end}"
+            console.print(failed, style="red")
+    if report["ledger_balanced"]:
+        console.print(
+            "Every message is accounted for: used, not used as said above, or still queued."
+        )
+    else:
+        console.print("The ledger does not balance: please report this.", style="red")
+
+
+def _outputs(outputs: Mapping[str, Any]) -> Table:
+    table = Table("output", box=None, pad_edge=False, header_style="bold")
+    for column in ("messages", "rate", "age p50", "age p99"):
+        table.add_column(column, justify="right")
+    for port, output in outputs.items():
+        age = output["age_from_stamp_ms"] or {}
+        table.add_row(
+            port,
+            str(output["count"]),
+            _number(output["rate_hz"], "Hz", 1),
+            _number(age.get("p50"), "ms", 0),
+            _number(age.get("p99"), "ms", 0),
+        )
+    return table
+
+
+def _losses(edges: Mapping[str, Any]) -> Table:
+    table = Table("input", "from", box=None, pad_edge=False, header_style="bold")
+    table.add_column("messages", justify="right")
+    table.add_column("used", justify="right")
+    table.add_column("not used")
+    for edge, book in edges.items():
+        source, target = edge.split("->")
+        dropped = ", ".join(
+            f"{count} {reason}" for reason, count in book["dropped"].items() if count
+        )
+        table.add_row(
+            target,
+            source.removesuffix("/out"),
+            str(book["produced"]),
+            str(book["delivered"]),
+            dropped,
+        )
+    return table
+
+
+def _number(value: float | None, unit: str, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f} {unit}"
