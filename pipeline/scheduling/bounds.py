@@ -19,10 +19,11 @@ NEVER = -INFINITY
 class OutputPort:
     """One output port: its last stamp, its bound, its edges and its book of refusals."""
 
-    __slots__ = ("bound", "edges", "last", "min_period", "port", "published", "refused")
+    __slots__ = ("bound", "edges", "last", "min_period", "name", "port", "published", "refused")
 
     def __init__(self, port: Port, min_period: int | None) -> None:
         self.port = port
+        self.name = str(port)
         self.last = NEVER
         self.bound = NEVER
         self.min_period = min_period  #: the source's promise; None: none, or withdrawn

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from pipeline.scheduling.events import Reason
+from pipeline.scheduling.events import Mark, Reason
 
 
 @dataclass(slots=True, eq=False)
@@ -40,9 +41,23 @@ class RunBook:
     filtered: int = 0  #: the stage said None on every port
     failed: int = 0
     abandoned: int = 0  #: between steps: too old, device lost, stop
-    unsettled: int = 0  #: inputs used before they were settled (also `missing` and `held`)
+    unsettled: int = 0  #: inputs used before they were settled
     missing: int = 0
     held: int = 0
+
+    def end(self, how: str) -> None:
+        """One run ended: "finished", "filtered", "failed" or "abandoned"."""
+        if how == "finished":
+            self.finished += 1
+        else:
+            setattr(self, how, getattr(self, how) + 1)
+
+    def mark(self, marks: Iterable[tuple[str, int, Mark]]) -> None:
+        """A run starts with inputs that are not the settled ones."""
+        for _, _, mark in marks:
+            self.unsettled += mark is Mark.UNSETTLED
+            self.missing += mark is Mark.MISSING
+            self.held += mark is Mark.HELD
 
     def page(self, running: int) -> dict[str, int]:
         """The book as plain values."""

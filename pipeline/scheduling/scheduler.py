@@ -9,7 +9,6 @@ begins every step that may.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 from pipeline.message import Message, Sample
@@ -19,7 +18,6 @@ from pipeline.scheduling.devices import Device
 from pipeline.scheduling.edges import Edge
 from pipeline.scheduling.events import (
     InputSet,
-    Mark,
     Observer,
     Output,
     Reason,
@@ -79,11 +77,16 @@ class Scheduler:
                 text = "a message came before the promised min_period_ms; the promise is withdrawn"
                 self._observer.event("promise_withdrawn", str(port), text, now)
             return self._starts
-        sample = Sample(str(port), message.stamp, now)
-        self._send(
-            output,
-            replace(message, received=now, seq=output.published, lineage=(sample,)),
+        taken = Message(
+            message.payload,
+            message.stamp,
+            message.begin,
+            message.end,
+            now,
+            output.published,
+            message.lineage or (Sample(output.name, message.stamp, now),),
         )
+        self._send(output, taken)
         self._raise(output, output.promised_after(message.stamp))
         return self._start_what_can()
 
@@ -157,8 +160,10 @@ class Scheduler:
         """Start no new run; what is queued, waiting or held ends here. Runs in flight go on."""
         self._begin(now)
         self._stopping = True
+        for stage in self._stages:  # slots first: a dropped trigger would prune them downstream
+            self._drop_slots(stage, Reason.END)
         for stage in self._stages:
-            self._drop_held(stage, Reason.END)
+            self._drop_triggers(stage, Reason.END)
         return self._start_what_can()
 
     def abandon(self, now: int) -> list[Start]:
@@ -339,16 +344,16 @@ class Scheduler:
             candidates: list[StageState] = []
             for stage in stages:
                 stage.dirty = False
-                if not stage.inputs:
+                if not stage.inputs or stage.idle:
                     continue
                 if stage.sync is not None:
                     self._fill_waiting(stage, stage.sync)
-                if stage.node.inline:
+                if stage.inline:
                     if self._start_cpu_step(stage) and stage.free:
                         self._mark(stage)
                 else:
                     candidates.append(stage)
-            if candidates:
+            if candidates or (self._wanting and self._free_workers):
                 self._use_workers(candidates)
         if self._timed:
             self._wakeup = self._next_due()
@@ -377,20 +382,22 @@ class Scheduler:
                 best = candidates[0]
             if not self._start_cpu_step(best):
                 candidates = [stage for stage in candidates if stage is not best]
+            if self._dirty:  # what this step changed may want the next worker first
+                break
         self._wanting = [s for s in candidates if self._step_key(s) is not None]
 
     def _step_key(self, stage: StageState) -> tuple[int, int, int, int] | None:
         """What a stage wants a worker for, as a sort key (README, section 6); None: nothing."""
-        if stage.cpu_steps and not stage.node.stateless:
+        if stage.cpu_steps and not stage.stateless:
             return None
-        priority = -stage.node.priority
+        priority = -stage.priority
         if stage.finishing:
             return priority, 0, stage.finishing[0].stamp, stage.index
         stamp = self._next_trigger(stage)
         return None if stamp is None else (priority, 1, stamp, stage.index)
 
     def _start_cpu_step(self, stage: StageState) -> bool:
-        if stage.cpu_steps and not stage.node.stateless:
+        if stage.cpu_steps and not stage.stateless:
             return False
         if stage.finishing:
             self._start_step(stage, stage.finishing.popleft(), Step.FINISH)
@@ -405,10 +412,12 @@ class Scheduler:
             return False
         entry = stage.sync.waiting[0] if stage.sync else self._head(stage)
         assert entry is not None
-        age = stage.node.trigger.max_age
+        age = stage.max_age
         if age is not None and not self._offline and self._now - entry.stamp > age:
             self._pop_trigger(stage)
             self._trigger_lost(stage, entry, Reason.TOO_OLD)
+            if stage.device is not None:
+                self._mark_device(stage.device)  # the turn may be another stage's now
             return True
         if stage.sync is None:
             self._pop_trigger(stage)
@@ -446,9 +455,10 @@ class Scheduler:
     def _blocked(self, stage: StageState) -> bool:
         """An out edge with `policy: block` has no room for another result."""
         coming = len(stage.runs)
-        return any(
-            edge.target.queue.blocks(coming) for edge in stage.blocking if not edge.target.stopped
-        )
+        for edge in stage.blocking:
+            if edge.target.queue.blocks(coming) and not edge.target.stopped:
+                return True
+        return False
 
     # ------------------------------------------------------------------ triggers
 
@@ -539,22 +549,25 @@ class Scheduler:
             self._drop(stage.producer, entry.message, reason)
         self._triggers_changed(stage)
 
-    def _drop_held(self, stage: StageState, reason: Reason) -> None:
-        """Drop everything that a stage holds and has not started on."""
-        if stage.producer is None:
-            return
+    def _drop_slots(self, stage: StageState, reason: Reason) -> None:
         if stage.sync is not None:
-            waiting = list(stage.sync.waiting)
-            stage.sync.waiting.clear()
-            for entry in waiting:
-                self._drop(stage.producer, entry.message, reason)
             for slot in stage.sync.slots:
                 slot.release(len(slot), reason)
+
+    def _drop_triggers(self, stage: StageState, reason: Reason) -> None:
+        """Drop every trigger that the stage has not started on."""
+        edge = stage.producer
+        if edge is None:
+            return
+        waiting = list(stage.sync.waiting) if stage.sync is not None else []
+        if (undecided := stage.undecided()) is not None and stage.group is not None:
+            del stage.group.undecided[stage.index]
+            waiting.append(undecided)
+        if stage.sync is not None:
+            stage.sync.waiting.clear()
+        for entry in waiting:
+            self._drop(edge, entry.message, reason)
         self._drop_queue(stage, reason)
-        if stage.group is not None:
-            entry_ = stage.group.undecided.pop(stage.index, None)
-            if entry_ is not None:
-                self._drop(stage.producer, entry_.message, reason)
 
     # ------------------------------------------------------------------ devices
 
@@ -572,11 +585,11 @@ class Scheduler:
             if rival is stage
             or (
                 rival.device is device
-                and not (rival.cpu_steps and not rival.node.stateless)
+                and not (rival.cpu_steps and not rival.stateless)
                 and self._next_trigger(rival) is not None
             )
         ]
-        turn = min(rivals, key=lambda s: (-s.node.priority, s.last_started, s.index))
+        turn = min(rivals, key=lambda s: (-s.priority, s.last_started, s.index))
         if turn is not stage:
             self._mark(turn)
             return False
@@ -596,7 +609,7 @@ class Scheduler:
                 return
             device.pending.remove(run)
             stage = self._by_name[run.stage]
-            age = stage.node.trigger.max_age
+            age = stage.max_age
             if age is not None and not self._offline and self._now - run.stamp > age:
                 self._end(stage, run, "abandoned")
                 self._mark(stage)
@@ -614,7 +627,7 @@ class Scheduler:
         stage_of = self._by_name
         return min(
             prepared,
-            key=lambda r: (-stage_of[r.stage].node.priority, r.stamp, stage_of[r.stage].index),
+            key=lambda r: (-stage_of[r.stage].priority, r.stamp, stage_of[r.stage].index),
         )
 
     def _move(self, run: ActiveRun, lost: Device) -> None:
@@ -651,24 +664,21 @@ class Scheduler:
         stage.book.started += 1
         stage.last_started = self._started
         self._started += 1
-        for _, _, mark in inputs.marks:
-            stage.book.unsettled += mark is Mark.UNSETTLED
-            stage.book.missing += mark is Mark.MISSING
-            stage.book.held += mark is Mark.HELD
+        if inputs.marks:
+            stage.book.mark(inputs.marks)
         self._observer.set_formed(stage.node.name, inputs, self._now)
         if stage.sync is not None:
             stage.sync.lower(stage.least_set())
-        device = stage.device
-        if device is not None:
+        if (device := stage.device) is not None:
             run.device = device.name
             device.pending.append(run)
-        self._start_step(stage, run, Step.PREPARE if stage.ladder else Step.PROCESS)
+        self._start_step(stage, run, Step.PREPARE if device else Step.PROCESS)
         if stage.free or stage.sync is not None:
             self._mark(stage)
 
     def _start_step(self, stage: StageState, run: ActiveRun, step: Step) -> None:
         run.step, run.step_started = step, self._now
-        inline = stage.node.inline and step is not Step.INFER
+        inline = stage.inline and step is not Step.INFER
         if step is not Step.INFER:
             stage.cpu_steps += 1
             self._free_workers -= not inline
@@ -698,7 +708,7 @@ class Scheduler:
                 self._serve(device)
         else:
             stage.cpu_steps -= 1
-            if not stage.node.inline:
+            if not stage.inline:
                 self._free_workers += 1
                 for wanting in self._wanting:
                     self._mark(wanting)
@@ -726,8 +736,7 @@ class Scheduler:
             if how == "finished" and not self._say(stage, run):
                 how = "failed"
             stage.runs.popleft()
-            book = stage.book
-            setattr(book, how, getattr(book, how) + 1)
+            stage.book.end(how)
             self._observer.run_ended(run, how, self._now)
             self._outputs_changed(stage)
             if how == "failed" and stage.node.on_error is OnError.STOP and not stage.stopped:
@@ -764,7 +773,8 @@ class Scheduler:
     def _stop_stage(self, stage: StageState) -> None:
         """A stage is out for good: what it holds ends, its streams end, the graph goes on."""
         stage.stopped = True
-        self._drop_held(stage, Reason.STAGE_STOPPED)
+        self._drop_slots(stage, Reason.STAGE_STOPPED)
+        self._drop_triggers(stage, Reason.STAGE_STOPPED)
         for run in stage.runs:
             run.doomed = True
         for run in list(stage.finishing):

@@ -22,7 +22,12 @@ class ActiveRun(Run):
     __slots__ = ("doomed", "ended", "outputs", "prepared", "prepared_at", "step", "step_started")
 
     def __init__(self, stage: str, number: int, inputs: InputSet, now: int) -> None:
-        super().__init__(stage, number, inputs, now)
+        self.stage = stage
+        self.number = number
+        self.inputs = inputs
+        self.started = now
+        self.device = None
+        self.result = None
         self.step: Step | None = None  #: the step that runs now
         self.step_started = now
         self.prepared = False
@@ -64,16 +69,21 @@ class StageState:
         "finishing",
         "group",
         "index",
+        "inline",
         "inputs",
         "ladder",
         "last_started",
+        "max_age",
+        "max_in_flight",
         "next_number",
         "node",
         "ports",
         "prepare_ns",
+        "priority",
         "producer",
         "queue",
         "runs",
+        "stateless",
         "stopped",
         "sync",
         "synced_edges",
@@ -88,6 +98,12 @@ class StageState:
     def __init__(self, index: int, node: StageNode) -> None:
         self.index = index
         self.node = node
+        # Read on every hop, so kept at hand.
+        self.inline = node.inline
+        self.stateless = node.stateless
+        self.priority = node.priority
+        self.max_in_flight = node.max_in_flight
+        self.max_age = node.trigger.max_age if node.inputs else None
         self.ports: list[OutputPort] = []
         self.inputs: list[list[Edge]] = []  #: per input, its edges
         self.producer: Edge | None = None  #: the trigger's edge; None for a source
@@ -124,9 +140,14 @@ class StageState:
         return None
 
     @property
+    def idle(self) -> bool:
+        """Nothing is queued, waiting, or ready to go on: there is nothing to start."""
+        return not (self.queue.entries or self.finishing or self.sync or self.group)
+
+    @property
     def free(self) -> bool:
         """Has room for one more run."""
-        return len(self.runs) < self.node.max_in_flight
+        return len(self.runs) < self.max_in_flight
 
     def measured_prepare(self, took: int) -> None:
         self._prepare_times.append(took)

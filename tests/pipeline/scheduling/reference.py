@@ -35,7 +35,7 @@ class ReferenceScheduler(Streams):
             return []
         self.now = now
         own = (Sample(str(port), message.stamp, now),)
-        self._send(port, replace(message, received=now, lineage=own))
+        self._send(port, replace(message, received=now, lineage=message.lineage or own))
         return self._act()
 
     def step_done(self, run: Run, now: int, outputs: Sequence[Output] | None = None) -> list[Start]:
@@ -341,7 +341,7 @@ class ReferenceScheduler(Streams):
         self._drop_everything([*self._slots(node), self._trigger(node)], Reason.STAGE_STOPPED)
         for job in self._in_flight(node):
             if not job.running:
-                job.how = "abandoned"
+                job.how = "failed" if job.how == "failed" else "abandoned"
 
     def _outputs_hold(self, node: StageNode, job: Job) -> bool:
         """Whether the ports would take all that the run says."""

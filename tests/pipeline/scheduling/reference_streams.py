@@ -212,6 +212,7 @@ class Streams:
     def _blocked(self, node: StageNode) -> bool:
         return not self.offline and any(
             edge.source.stage == node.name
+            and edge.node.name not in self.stopped
             and edge.input.policy is Policy.BLOCK
             and edge.input.sync is Sync.TRIGGER
             and len(edge.held("queue")) + len(self._in_flight(node)) >= edge.input.size
