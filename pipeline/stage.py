@@ -10,6 +10,8 @@ dataclass marked `@ports`:
     tuple[Message[T] | None, ...]     a port that takes several edges, in the order of the file
     Span[T]                           every message around the set (``sync: span``)
 
+A parameter with a default is a port that the file may leave without an edge.
+
 A method returns a payload, which gets the trigger's stamp and extent; or a Message with its own
 stamp, not below the trigger's; or None for "nothing to say" (an empty result is an empty payload,
 not None).
@@ -22,7 +24,7 @@ ends the run of that input set and, with ``on_error: stop``, the stage.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, is_dataclass
 from typing import Any, ClassVar, TypeVar
 
@@ -54,6 +56,10 @@ class Stage:
 
     def close(self) -> None:
         """Release it; called once, whatever happened before. Sinks finish their files here."""
+
+    def statistics(self) -> Mapping[str, float]:
+        """What the stage counted by itself, for the report: read once, after the last step."""
+        return {}
 
     def run_once(self, *inputs: Any, model: BoundModel | None = None) -> Any:
         """Open, run one input set, close: for tests and notebooks, without a graph."""

@@ -20,7 +20,7 @@ from typing import Any
 
 from pipeline.clock import ScaledClock
 from pipeline.drivers.executor import Worker
-from pipeline.drivers.statistics import Statistics
+from pipeline.drivers.statistics import OnFailure, Statistics
 from pipeline.drivers.threads import name_this_thread
 from pipeline.message import Message
 from pipeline.scheduling.events import Output, Start, Step
@@ -60,7 +60,7 @@ class LiveDriver:
         sources: Mapping[str, Iterator[Message[Any]]],
         clock: ScaledClock,
         statistics: Statistics,
-        on_failure: Callable[[str, BaseException, str], None],
+        on_failure: OnFailure,
     ) -> None:
         self._scheduler = scheduler
         self._workers = workers
@@ -196,7 +196,7 @@ class LiveDriver:
             except Exception as error:
                 text = traceback.format_exc()
                 with self._lock:
-                    self._on_failure(name, error, text)
+                    self._on_failure(name, error, text, None)
                 return
             if message is None:
                 return
@@ -248,7 +248,7 @@ class LiveDriver:
             except Exception as error:
                 text = traceback.format_exc()
                 with self._lock:
-                    self._on_failure(run.stage, error, text)
+                    self._on_failure(run.stage, error, text, run.inputs.trigger.stamp)
             cpu_ns = time.thread_time_ns() - before
             with self._lock:
                 self._statistics.step(run.stage, start.step, cpu_ns)

@@ -15,7 +15,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from pipeline.drivers.executor import Worker
-from pipeline.drivers.statistics import Statistics
+from pipeline.drivers.statistics import OnFailure, Statistics
 from pipeline.message import Message
 from pipeline.scheduling.events import Output, Start, Step
 from pipeline.scheduling.scheduler import Scheduler
@@ -32,7 +32,7 @@ class OfflineDriver:
         workers: Mapping[str, Worker],
         sources: Mapping[str, Iterator[Message[Any]]],
         statistics: Statistics,
-        on_failure: Callable[[str, BaseException, str], None],
+        on_failure: OnFailure,
     ) -> None:
         self._topology = topology
         self._scheduler = scheduler
@@ -78,7 +78,7 @@ class OfflineDriver:
         try:
             message = next(self._sources[name], None)
         except Exception as error:
-            self._on_failure(name, error, traceback.format_exc())
+            self._on_failure(name, error, traceback.format_exc(), None)
             message = None
         self._statistics.step(name, Step.PROCESS, time.thread_time_ns() - before)
         if message is not None:
@@ -103,7 +103,7 @@ class OfflineDriver:
             self._statistics.step(start.run.stage, start.step, cpu_ns)
             before = time.thread_time_ns()
             if failure is not None:
-                self._on_failure(start.run.stage, *failure)
+                self._on_failure(start.run.stage, *failure, start.run.inputs.trigger.stamp)
                 starts = self._scheduler.step_failed(start.run, self._now)
             else:
                 starts = self._scheduler.step_done(start.run, self._now, outputs)

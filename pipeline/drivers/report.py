@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from pipeline.drivers.statistics import (
@@ -24,6 +24,7 @@ def build_report(
     graph: Graph,
     scheduler: Scheduler,
     statistics: Statistics,
+    own: Mapping[str, Mapping[str, float]],
     wall_ns: int,
     cpu_ns: int,
     *,
@@ -38,7 +39,8 @@ def build_report(
         "wall_s": round(wall_s, 3),
         "offline": offline,
         "stages": {
-            node.name: _stage(node, runs, scheduler, statistics, wall_s)
+            node.name: _stage(node, runs, scheduler, statistics, None if offline else wall_s)
+            | ({"statistics": dict(own[node.name])} if own[node.name] else {})
             for node in graph.topology.stages
         },
         "edges": ledger,
@@ -75,7 +77,7 @@ def _stage(
     runs: dict[str, dict[str, int]],
     scheduler: Scheduler,
     statistics: Statistics,
-    wall_s: float,
+    wall_s: float | None,
 ) -> dict[str, Any]:
     known = statistics.stages.get(node.name, StageStatistics())
     book = runs.get(node.name)

@@ -74,8 +74,8 @@ def run_graph(
     started = time.monotonic_ns()
     cpu_started = time.process_time_ns()
 
-    def on_failure(stage: str, error: BaseException, text: str) -> None:
-        _note_failure(statistics, stage, error, text)
+    def on_failure(stage: str, error: BaseException, text: str, stamp: int | None) -> None:
+        statistics.failed(stage, error, text, stamp, stamp or 0)
 
     def tick() -> None:
         if progress is not None:
@@ -113,7 +113,8 @@ def run_graph(
             driver.run(duration_s, tick)
         wall_ns = time.monotonic_ns() - started
         cpu_ns = time.process_time_ns() - cpu_started
-    report = build_report(graph, scheduler, statistics, wall_ns, cpu_ns, offline=offline)
+        own = {name: dict(stage.statistics()) for name, stage in stages.items()}
+    report = build_report(graph, scheduler, statistics, own, wall_ns, cpu_ns, offline=offline)
     return RunResult(report, tuple(statistics.failures), tuple(statistics.events))
 
 
@@ -202,17 +203,6 @@ def _chain(first: Message[Any] | None, messages: Iterator[Message[Any]]) -> Iter
     if first is not None:
         yield first
     yield from messages
-
-
-def _note_failure(statistics: Statistics, stage: str, error: BaseException, text: str) -> None:
-    """Keep the first failure of each kind of a stage, with its traceback unless it is ours."""
-    sentence = f"{stage}: {type(error).__name__}: {error}"
-    if isinstance(error, OverflightError):
-        sentence = f"{stage}: {error}"
-    if sentence not in statistics.failures and len(statistics.failures) < 100:
-        statistics.failures.append(sentence)
-        detail = "" if isinstance(error, OverflightError) else "\n" + text.rstrip()
-        statistics.event("failure", stage, sentence + detail, 0)
 
 
 def _snapshot(graph: Graph, statistics: Statistics, elapsed_ns: int) -> Snapshot:

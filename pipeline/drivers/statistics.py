@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any
 
+from pipeline.errors import OverflightError
 from pipeline.message import Message
 from pipeline.scheduling.events import InputSet, Observer, Reason, Refusal, Run, Step
 from pipeline.scheduling.topology import Port
 
 #: Values kept for quantiles. At 30 Hz that is half an hour; later ones replace random earlier ones.
 RESERVOIR = 1 << 16
+
+
+#: Told of an exception of a stage: its name, the error, the traceback, and the trigger's stamp
+#: (None for a source).
+OnFailure = Callable[[str, BaseException, str, int | None], None]
 
 
 class Quantiles:
@@ -102,6 +109,7 @@ class Statistics(Observer):
         self.refusals: Counter[Refusal] = Counter()
         self.events: list[Event] = []
         self.failures: list[str] = []
+        self._failed: set[tuple[str, str]] = set()
         self.scheduler_ns = 0
 
     def published(self, port: Port, message: Message[Any], now: int) -> None:
@@ -142,6 +150,20 @@ class Statistics(Observer):
     def event(self, kind: str, subject: str, text: str, now: int) -> None:
         if len(self.events) < 10_000:
             self.events.append(Event(now, kind, subject, text))
+
+    def failed(
+        self, stage: str, error: BaseException, text: str, stamp: int | None, now: int
+    ) -> None:
+        """Keep the first failure of each kind of a stage, with its traceback unless it is ours."""
+        ours = isinstance(error, OverflightError)
+        kind = type(error).__name__
+        if (stage, kind) in self._failed:
+            return
+        self._failed.add((stage, kind))
+        at = "" if stamp is None else f" (first at stamp {stamp / 1e9:.6f} s)"
+        sentence = f"{stage}: {error}{at}" if ours else f"{stage}: {kind}: {error}{at}"
+        self.failures.append(sentence)
+        self.event("failure", stage, sentence if ours else f"{sentence}\n{text.rstrip()}", now)
 
     def stage(self, name: str) -> StageStatistics:
         statistics = self.stages.get(name)

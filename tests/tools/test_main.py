@@ -192,7 +192,9 @@ def test_a_failed_run_is_exit_code_1_and_keeps_the_stages_traceback(
     words = ("run", "hello.yaml", "--speed", "max", "--duration", "0.5", "--quiet")
     answer = overflight(*words, "--set", "stages.pair.options.fail_at=2")
     assert answer.code == 1
-    assert answer.err.splitlines()[-1] == "pair: ArithmeticError: pairing is over"
+    assert answer.err.splitlines()[-1] == (
+        "pair: ArithmeticError: pairing is over (first at stamp 0.200000 s)"
+    )
     assert "my_pairing.py" in answer.err
 
 

@@ -83,8 +83,8 @@ def drive(
     scheduler = Scheduler(topology, offline=not live, observer=statistics)
     workers = {node.name: Worker(node, stages[node.name]) for node in nodes if node.inputs}
 
-    def on_failure(stage: str, error: BaseException, text: str) -> None:
-        statistics.failures.append(f"{stage}: {error}")
+    def on_failure(stage: str, error: BaseException, text: str, stamp: int | None) -> None:
+        statistics.failed(stage, error, text, stamp, 0)
 
     driver: LiveDriver | OfflineDriver
     if live:
