@@ -8,13 +8,14 @@ begins every step that may.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
 from pipeline.message import Message, Sample
 from pipeline.scheduling.books import Books
 from pipeline.scheduling.bounds import INFINITY, OutputPort
-from pipeline.scheduling.devices import Device
+from pipeline.scheduling.devices import HISTORY, Device
 from pipeline.scheduling.edges import Edge
 from pipeline.scheduling.events import (
     InputSet,
@@ -60,6 +61,7 @@ class Scheduler:
         self._devices = wiring.devices
         self._synced = [stage for stage in self._stages if stage.sync]
         self._timed = bool(self._synced or self._devices)
+        self._lateness: deque[int] = deque([0], maxlen=HISTORY)  #: of the last wake-ups
         self._wakeup = INFINITY  #: the least instant at which something becomes due
         self.books = Books(self._stages, list(self._ports.values()))
 
@@ -127,6 +129,8 @@ class Scheduler:
 
     def time(self, now: int) -> list[Start]:
         """A wake-up: deadlines may have passed."""
+        if now >= self._wakeup:
+            self._lateness.append(now - self._wakeup)
         self._begin(now)
         return self._start_what_can()
 
@@ -595,7 +599,7 @@ class Scheduler:
             return False
         if self._offline:
             return True
-        start_at = device.free_at(self._now) - stage.prepare_ns
+        start_at = device.free_at(self._now) - stage.prepare_ns - max(self._lateness)
         if start_at > self._now:
             device.wakeup = start_at
             return False
