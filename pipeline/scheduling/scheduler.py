@@ -105,11 +105,12 @@ class Scheduler:
         active, stage, step = self._step_over(run)
         if active is None:
             return self._start_what_can()
+        if step is Step.PREPARE:
+            stage.measured_prepare(now - active.step_started)
         if active.doomed:
             self._end(stage, active, "abandoned")
         elif step is Step.PREPARE:
             active.prepared, active.prepared_at = True, now
-            stage.measured_prepare(now - active.step_started)
             self._serve(self._devices[str(active.device)])
         elif step is Step.INFER:
             stage.finishing.append(active)
