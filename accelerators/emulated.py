@@ -16,7 +16,6 @@ import numpy as np
 from pipeline.errors import DeviceError, ModelError
 from pipeline.model import Model, Native, Probe, TensorSpec
 
-
 #: A sleep that ended later than this was not the timer's doing (the machine was busy).
 MAX_LATE_S = 0.001
 
@@ -24,8 +23,8 @@ MAX_LATE_S = 0.001
 class Emulated:
     """Holds itself for `latency_ms[model]` +- `jitter_ms` (uniform) per infer, one model at a time.
 
-    A sleep ends 0.1 to 0.4 ms late. The running mean of that is taken off the next ones, so that the
-    device is held for the declared time in the mean; what comes later is the host's own.
+    A sleep ends 0.1 to 0.4 ms late. The running mean of that is taken off the next ones, so that
+    the device is held for the declared time in the mean; what comes later is the host's own.
 
     Outputs have the shape and type of the model's `emulated` variant in the registry and are zero.
     """
