@@ -30,7 +30,7 @@ from pipeline.scheduling.topology import Port, Topology
 #: How long runs in flight may go on after a stop before they are given up.
 DRAIN_S = 1.5
 #: The main thread looks this often at stop requests and progress.
-TICK_S = 0.1
+TICK_S = 0.2
 #: A thread that wants the GIL asks for it after this long (Python's default of 5 ms would be a
 #: twentieth of a scan's period).
 SWITCH_INTERVAL_S = 0.0005

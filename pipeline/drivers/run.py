@@ -6,8 +6,9 @@ import contextlib
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from statistics import median_low
 from types import FrameType
 from typing import Any
 
@@ -43,7 +44,7 @@ class Snapshot:
     elapsed_s: float
     outputs: Mapping[str, OutputSnapshot]
     dropped: int
-    events: tuple[Event, ...]  #: everything that a person should know, so far
+    events: Sequence[Event]  #: everything that a person should know, so far; grows
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,15 +212,13 @@ def _snapshot(graph: Graph, statistics: Statistics, elapsed_ns: int) -> Snapshot
         for port in node.outputs:
             key = Port(node.name, port)
             known = statistics.ports.get(key)
-            age = known.age_from_stamp.at(0.5) if known else None
+            age = median_low(known.recent_ages) if known and known.recent_ages else None
             outputs[str(key)] = OutputSnapshot(
                 known.count if known else 0,
                 known.rate_hz() if known else None,
                 None if age is None else age / 1e6,
             )
-    return Snapshot(
-        elapsed_ns / 1e9, outputs, sum(statistics.drops.values()), tuple(statistics.events)
-    )
+    return Snapshot(elapsed_ns / 1e9, outputs, sum(statistics.drops.values()), statistics.events)
 
 
 @contextlib.contextmanager

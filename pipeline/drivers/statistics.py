@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from operator import attrgetter
@@ -21,6 +21,10 @@ RESERVOIR = 1 << 16
 #: Told of an exception of a stage: its name, the error, the traceback, and the trigger's stamp
 #: (None for a source).
 OnFailure = Callable[[str, BaseException, str, int | None], None]
+
+
+#: Ages that the progress line looks at: quantiles of the whole run would take it milliseconds.
+RECENT = 31
 
 
 class Quantiles:
@@ -67,6 +71,7 @@ class PortStatistics:
     last_ns: int = 0
     age_from_stamp: Quantiles = field(default_factory=Quantiles)
     age_from_arrival: Quantiles = field(default_factory=Quantiles)
+    recent_ages: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
 
     def rate_hz(self) -> float | None:
         """Messages a second between the first and the last."""
@@ -123,7 +128,9 @@ class Statistics(Observer):
         oldest = message.lineage[0]
         if len(message.lineage) > 1:
             oldest = min(message.lineage, key=_stamp)
-        statistics.age_from_stamp.add(now - oldest.stamp)
+        age = now - oldest.stamp
+        statistics.recent_ages.append(age)
+        statistics.age_from_stamp.add(age)
         statistics.age_from_arrival.add(now - oldest.received)
 
     def refused(self, port: Port, message: Message[Any], reason: Refusal, now: int) -> None:

@@ -199,13 +199,6 @@ class Scheduler:
         """The least instant at which `time` could do something."""
         return None if self._wakeup >= INFINITY else self._wakeup
 
-    def ended(self, stage: str) -> bool:
-        """All output streams of the stage have ended; a sink's once nothing can reach it."""
-        state = self._by_name[stage]
-        if state.ports:
-            return all(port.ended for port in state.ports)
-        return state.least_output() >= INFINITY
-
     def stopped(self, stage: str) -> bool:
         """The stage stopped after a failure."""
         return self._by_name[stage].stopped
