@@ -50,7 +50,7 @@ class Scheduler:
         self._now = 0
         self._starts: list[Start] = []
         self._dirty: list[StageState] = []
-        self._wanting: list[StageState] = []  #: stages that found no free CPU worker
+        self._wanting: dict[int, StageState] = {}  #: stages that may want a CPU worker, by index
         self._free_workers = topology.workers
         self._started = 0
         self._stopping = False
@@ -337,52 +337,52 @@ class Scheduler:
 
     def _start_what_can(self) -> list[Start]:
         """Begin every step that may begin now; the end of every event."""
-        while self._dirty:
-            stages, self._dirty = self._dirty, []
-            candidates: list[StageState] = []
-            for stage in stages:
-                stage.dirty = False
-                if not stage.inputs or stage.idle:
-                    continue
-                if stage.sync is not None:
-                    self._fill_waiting(stage, stage.sync)
-                if stage.inline:
-                    if self._start_cpu_step(stage) and stage.free:
-                        self._mark(stage)
-                else:
-                    candidates.append(stage)
-            if candidates or (self._wanting and self._free_workers):
-                self._use_workers(candidates)
+        while True:
+            while self._dirty:
+                stages, self._dirty = self._dirty, []
+                for stage in stages:
+                    stage.dirty = False
+                    if stage.inputs and not stage.idle:
+                        self._look_at(stage)
+            if not (self._wanting and self._free_workers and self._use_worker()):
+                break
         if self._timed:
             self._wakeup = self._next_due()
         return self._starts
+
+    def _look_at(self, stage: StageState) -> None:
+        """Let triggers wait; an inline stage starts at once, any other wants a worker."""
+        if stage.sync is not None:
+            self._fill_waiting(stage, stage.sync)
+        if not stage.inline:
+            self._wanting[stage.index] = stage
+        elif self._start_cpu_step(stage) and stage.free:
+            self._mark(stage)
 
     def _next_due(self) -> int:
         due = [self._deadline(stage) for stage in self._synced]
         due += [d.wakeup for d in self._devices.values() if d.wakeup is not None]
         return min(due, default=INFINITY)
 
-    def _use_workers(self, candidates: list[StageState]) -> None:
-        """Hand the free CPU workers to the stages that want one, best step first."""
-        if self._wanting:
-            wanted = {stage.index: stage for stage in self._wanting}
-            wanted.update((stage.index, stage) for stage in candidates)
-            candidates = list(wanted.values())
-            self._wanting = []
-        while self._free_workers and candidates:
-            if len(candidates) > 1:
-                keyed = [(key, s) for s in candidates if (key := self._step_key(s)) is not None]
+    def _use_worker(self) -> bool:
+        """Give a free CPU worker to the stage that wants it most; False where none can use it.
+
+        One step at a time: what it changes may bring another stage to want the next worker more.
+        """
+        while self._wanting:
+            best = next(iter(self._wanting.values()))
+            if len(self._wanting) > 1:
+                keyed = {s.index: key for s in self._wanting.values() if (key := self._step_key(s))}
+                self._wanting = {index: self._stages[index] for index in keyed}
                 if not keyed:
-                    return
-                best = min(keyed)[1]
-                candidates = [s for _, s in keyed]
-            else:
-                best = candidates[0]
-            if not self._start_cpu_step(best):
-                candidates = [stage for stage in candidates if stage is not best]
-            if self._dirty:  # what this step changed may want the next worker first
-                break
-        self._wanting = [s for s in candidates if self._step_key(s) is not None]
+                    return False
+                best = self._stages[min(keyed, key=keyed.__getitem__)]
+            if self._start_cpu_step(best):
+                return True
+            del self._wanting[best.index]
+            if self._dirty:
+                return True
+        return False
 
     def _step_key(self, stage: StageState) -> tuple[int, int, int, int] | None:
         """What a stage wants a worker for, as a sort key (README, section 6); None: nothing."""
@@ -708,8 +708,6 @@ class Scheduler:
             stage.cpu_steps -= 1
             if not stage.inline:
                 self._free_workers += 1
-                for wanting in self._wanting:
-                    self._mark(wanting)
         known = run.ended is None and run in stage.runs
         return (run if known else None), stage, step
 
