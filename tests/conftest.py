@@ -8,7 +8,8 @@ import pytest
 from hypothesis import settings
 
 # The same examples on every machine, so that a change is judged and not a draw; no deadline, since
-# the first example compiles kernels. New examples: --hypothesis-profile=deep (scheduler) or =default.
+# the first example compiles kernels. New examples: --hypothesis-profile=default, for the scheduler
+# =deep.
 settings.register_profile("steady", derandomize=True, deadline=None, database=None)
 settings.load_profile("steady")
 

@@ -1,0 +1,255 @@
+"""What happens to messages: ports, bounds, edges, trigger queues, select groups and sync slots.
+
+Sections 1 to 5 of README.md in this folder; `Scheduler` adds what is started, and how it ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from pipeline.message import Message
+from pipeline.scheduling.bounds import INFINITY, OutputPort
+from pipeline.scheduling.edges import Edge
+from pipeline.scheduling.events import Observer, Reason
+from pipeline.scheduling.stages import StageState
+from pipeline.scheduling.sync import FIRST_WAIT_NS, MAX_WAITING, Slot, Synchronizer, WaitingSet
+from pipeline.scheduling.topology import Policy, Topology
+from pipeline.scheduling.wiring import wire
+
+
+class Streams:
+    """The messages of one graph: where each is held, and how each ends."""
+
+    def __init__(self, topology: Topology, *, offline: bool, observer: Observer | None) -> None:
+        self._offline = offline
+        self._observer = observer or Observer()
+        self._now = 0
+        self._stopping = False
+        self._dirty: list[StageState] = []  #: stages to look at before the event is over
+        wiring = wire(topology, self._drop, offline=offline)
+        self._stages = wiring.stages
+        self._by_name = {stage.node.name: stage for stage in self._stages}
+        self._ports = wiring.ports
+        self._devices = wiring.devices
+
+    # ------------------------------------------------------------------ messages
+
+    def _send(self, output: OutputPort, message: Message[Any]) -> None:
+        """Enter a message that the port takes into the books of all its edges."""
+        output.last = message.stamp
+        output.published += 1
+        self._observer.published(output.port, message, self._now)
+        for edge in output.edges:
+            edge.book.produced += 1
+            stage = edge.target
+            if stage.stopped:
+                self._drop(edge, message, Reason.STAGE_STOPPED)
+            elif self._stopping:
+                self._drop(edge, message, Reason.END)
+            elif edge.decimates(message.stamp):
+                self._drop(edge, message, Reason.DECIMATED)
+            elif edge.slot is None:
+                self._arrive(edge, message)
+            else:
+                self._offer(edge, edge.slot, message)
+
+    def _offer(self, edge: Edge, slot: Slot, message: Message[Any]) -> None:
+        stage = edge.target
+        was_stale = slot.stale
+        assert stage.sync is not None
+        if stage.sync.offer(slot, message, self._now):
+            self._mark(stage)
+        if was_stale and not slot.stale:
+            text = "messages arrive in time again"
+            self._observer.event("recovered", edge.name, text, self._now)
+
+    def _arrive(self, edge: Edge, message: Message[Any]) -> None:
+        """A trigger arrives at its stage: into its queue, or its group's undecided frame."""
+        stage = edge.target
+        if stage.trigger_last is not None:
+            stage.trigger_gap = message.stamp - stage.trigger_last
+        stage.trigger_last = message.stamp
+        gap = stage.trigger_gap
+        entry = WaitingSet(message, self._now, FIRST_WAIT_NS if gap is None else 2 * gap)
+        if stage.sync is not None:
+            stage.sync.arrived(entry)
+        if stage.group is not None:
+            replaced = stage.group.undecided.get(stage.index)
+            stage.group.undecided[stage.index] = entry
+            if replaced is not None:
+                self._drop(edge, replaced.message, Reason.REPLACED)
+        else:
+            lost = stage.queue.put(entry)
+            if lost is not None:
+                self._drop(edge, lost[0].message, lost[1])
+        self._triggers_changed(stage)
+        self._mark(stage)
+
+    def _deliver_slots(self, stage: StageState, sync: Synchronizer) -> None:
+        """Book every message of the set that was just taken: delivered once, then reused."""
+        for edge in stage.synced_edges:
+            slot = edge.slot
+            assert slot is not None
+            for index in sync.chosen(slot):
+                if slot.used[index]:
+                    edge.book.reused += 1
+                else:
+                    slot.used[index] = True
+                    edge.book.delivered += 1
+
+    def _drop(self, edge: Edge, message: Message[Any], reason: Reason) -> None:
+        edge.book.drop(reason)
+        self._observer.dropped(
+            edge.origin.port, edge.target.node.name, edge.input.name, message, reason, self._now
+        )
+
+    # ------------------------------------------------------------------ bounds
+
+    def _raise(self, output: OutputPort, bound: int) -> None:
+        """The bound of a port rises (it never falls) and whoever looks at it hears of it."""
+        if bound <= output.bound:
+            return
+        output.bound = bound
+        ended = bound >= INFINITY
+        for edge in output.edges:
+            stage = edge.target
+            if stage.stopped:
+                continue
+            if edge.slot is not None:
+                assert stage.sync is not None
+                if stage.sync.bound(edge.slot, INFINITY if ended else bound + edge.slot.offset):
+                    self._mark(stage)
+            elif stage.sync is not None or stage.watched or ended:
+                self._triggers_changed(stage)
+
+    def _triggers_changed(self, stage: StageState) -> None:
+        """What is queued, waiting or still to come at a stage changed: prune, raise its outputs."""
+        if stage.sync is not None:
+            stage.sync.lower(stage.least_set())
+        self._outputs_changed(stage)
+
+    def _outputs_changed(self, stage: StageState) -> None:
+        producer = stage.producer
+        if stage.watched or stage.stopped or (producer is not None and producer.origin.ended):
+            least = stage.least_output()
+            for port in stage.ports:
+                self._raise(port, max(port.last + 1, least))
+
+    def _mark(self, stage: StageState) -> None:
+        """Look at a stage again before this event is over."""
+        if not stage.dirty:
+            stage.dirty = True
+            self._dirty.append(stage)
+
+    def _blocked(self, stage: StageState) -> bool:
+        """An out edge with `policy: block` has no room for another result."""
+        coming = len(stage.runs)
+        for edge in stage.blocking:
+            if edge.target.queue.blocks(coming) and not edge.target.stopped:
+                return True
+        return False
+
+    # ------------------------------------------------------------------ triggers
+
+    def _head(self, stage: StageState) -> WaitingSet | None:
+        """The next trigger of a stage; an undecided frame counts once its group can decide."""
+        if stage.queue.entries:
+            return stage.queue.entries[0]
+        group = stage.group
+        if group is not None and stage.live and group.decidable():
+            return group.undecided.get(stage.index)
+        return None
+
+    def _pop_head(self, stage: StageState) -> WaitingSet:
+        """Take the next trigger out of the queue; decides the group's frame if it must."""
+        if not stage.queue.entries:
+            self._decide(stage)
+        entry = stage.queue.entries.popleft()
+        if stage.group is not None and not stage.queue.entries:
+            for member in stage.group.members:
+                self._mark(member)
+        producer = stage.producer
+        assert producer is not None
+        if producer.input.policy is Policy.BLOCK:
+            self._mark(self._by_name[producer.origin.port.stage])
+        return entry
+
+    def _decide(self, stage: StageState) -> None:
+        """The group decides for its newest frame: every live member will take it."""
+        group = stage.group
+        assert group is not None
+        frames, group.undecided = group.undecided, {}
+        for member in group.members:
+            entry = frames.get(member.index)
+            if entry is None:
+                continue
+            if member.live:
+                member.queue.entries.append(entry)
+            else:
+                assert member.producer is not None
+                self._drop(member.producer, entry.message, Reason.REPLACED)
+                self._triggers_changed(member)
+            self._mark(member)
+
+    def _fill_waiting(self, stage: StageState, sync: Synchronizer) -> None:
+        """Drop sets that miss a required input; let triggers wait, up to four; a fifth forces."""
+        while True:
+            room = stage.free and not (self._stopping or stage.stopped)
+            more = room and self._head(stage) is not None
+            if sync.waiting:
+                full = len(sync.waiting) >= MAX_WAITING
+                sync.waiting[0].forced = full and more and not self._offline
+                if sync.ready(self._now) and sync.skips:
+                    entry = sync.waiting[0]
+                    self._stale(stage, sync.take()[1])
+                    self._trigger_lost(stage, entry, Reason.SET_SKIPPED)
+                    continue
+                if full:
+                    return
+            if not more:
+                return
+            sync.open(self._pop_head(stage))
+
+    def _stale(self, stage: StageState, slots: Sequence[Slot]) -> None:
+        for slot in slots:
+            name = next(edge.name for edge in stage.synced_edges if edge.slot is slot)
+            text = "nothing came within max_wait_ms: sets go on without it until it is back"
+            self._observer.event("stale", name, text, self._now)
+
+    def _trigger_lost(self, stage: StageState, entry: WaitingSet, reason: Reason) -> None:
+        assert stage.producer is not None
+        self._drop(stage.producer, entry.message, reason)
+        self._triggers_changed(stage)
+        self._mark(stage)
+
+    # ------------------------------------------------------------------ ends
+
+    def _drop_queue(self, stage: StageState, reason: Reason) -> None:
+        """Drop the triggers that no set has taken."""
+        assert stage.producer is not None
+        lost = list(stage.queue.entries)
+        stage.queue.entries.clear()
+        for entry in lost:
+            self._drop(stage.producer, entry.message, reason)
+        self._triggers_changed(stage)
+
+    def _drop_slots(self, stage: StageState, reason: Reason) -> None:
+        if stage.sync is not None:
+            for slot in stage.sync.slots:
+                slot.release(len(slot), reason)
+
+    def _drop_triggers(self, stage: StageState, reason: Reason) -> None:
+        """Drop every trigger that the stage has not started on."""
+        edge = stage.producer
+        if edge is None:
+            return
+        waiting = list(stage.sync.waiting) if stage.sync is not None else []
+        if (undecided := stage.undecided()) is not None and stage.group is not None:
+            del stage.group.undecided[stage.index]
+            waiting.append(undecided)
+        if stage.sync is not None:
+            stage.sync.waiting.clear()
+        for entry in waiting:
+            self._drop(edge, entry.message, reason)
+        self._drop_queue(stage, reason)
