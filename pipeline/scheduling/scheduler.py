@@ -538,6 +538,8 @@ class Scheduler(Streams):
         self._drop_triggers(stage, Reason.STAGE_STOPPED)
         for run in stage.runs:
             run.doomed = True
+            if run.ended in ("finished", "filtered"):  # waits for an earlier one: never to be said
+                run.ended = "abandoned"
         for run in list(stage.finishing):
             self._end(stage, run, "abandoned")
         stage.finishing.clear()

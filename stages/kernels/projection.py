@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +15,11 @@ from stages.kernels.compiled import compiled
 
 #: Points nearer to the camera plane than this are behind the lens or on it.
 MIN_DEPTH_M = 0.1
+
+#: A point hides what lies farther than this share and this length behind it: a tenth and half a meter
+#: leave a surface seen at a slant and the sensors' few centimeters of parallax alone.
+HIDES_SHARE = 0.1
+HIDES_M = 0.5
 
 
 def fold_limit(intrinsics: NDArray[np.float64]) -> float:
@@ -79,6 +85,28 @@ def project(
             distance[seen] = np.sqrt(metric_x * metric_x + metric_y * metric_y + z * z)
             seen += 1
     return index[:seen].copy(), pixel[:seen].copy(), distance[:seen].copy()
+
+
+def hidden(
+    pixel: NDArray[np.float32],
+    distance: NDArray[np.float32],
+    size: tuple[int, int],
+    reach_px: int,
+) -> NDArray[np.bool_]:
+    """(m,) the point lies behind a nearer one, so that the camera does not see it.
+
+    Of points at `pixel` (m, 2) u v and `distance` (m,) m in an image of `size` (width, height): one
+    is hidden when a point at most `reach_px` beside or above it is nearer by more than
+    `HIDES_SHARE` and `HIDES_M`. Below does not count: on the ground the lower point is always the
+    nearer one, and a window to all sides takes a fifth of a street scene for hidden, the far road
+    first. What is hidden by something low is what that reaches above, so nothing is missed.
+    """
+    column, row = np.rint(pixel).astype(np.int64).T
+    nearest = np.full((size[1], size[0]), np.inf, dtype=np.float32)
+    np.minimum.at(nearest, (row, column), distance)
+    window = np.ones((reach_px + 1, 2 * reach_px + 1), dtype=np.uint8)
+    least = np.asarray(cv2.erode(nearest, window, anchor=(reach_px, reach_px)))[row, column]
+    return np.asarray(distance > least * (1 + HIDES_SHARE) + HIDES_M)
 
 
 def unproject(
