@@ -132,6 +132,8 @@ class Scheduler(Streams):
                 lost.inferring = None
             for run in moved:
                 self._move(run, lost)
+            for other in self._devices.values():
+                self._serve(other)
             for stage in lost.stages:
                 if not stage.live and stage.group and not stage.stopped:
                     self._drop_queue(stage, Reason.REPLACED)
@@ -418,7 +420,6 @@ class Scheduler(Streams):
             return
         run.device = device.name
         device.pending.append(run)
-        self._serve(device)
 
     def _retire(self, run: ActiveRun) -> ActiveRun:
         """A fresh run in place of one whose infer is lost: what comes of the old one is ignored."""
