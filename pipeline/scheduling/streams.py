@@ -169,11 +169,14 @@ class Streams:
         if stage.group is not None and not stage.queue.entries:
             for member in stage.group.members:
                 self._mark(member)
-        producer = stage.producer
-        assert producer is not None
-        if producer.input.policy is Policy.BLOCK:
-            self._mark(self._by_name[producer.origin.port.stage])
+        self._made_room(stage)
         return entry
+
+    def _made_room(self, stage: StageState) -> None:
+        """A queue got shorter: with `policy: block` its producer may go on."""
+        edge = stage.producer
+        if edge is not None and edge.input.policy is Policy.BLOCK:
+            self._mark(self._by_name[edge.origin.port.stage])
 
     def _decide(self, stage: StageState) -> None:
         """The group decides for its newest frame: every live member will take it."""
@@ -232,6 +235,7 @@ class Streams:
         stage.queue.entries.clear()
         for entry in lost:
             self._drop(stage.producer, entry.message, reason)
+        self._made_room(stage)
         self._triggers_changed(stage)
 
     def _drop_slots(self, stage: StageState, reason: Reason) -> None:
