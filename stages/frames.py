@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,13 +10,13 @@ from numpy.typing import NDArray
 
 from stages.kernels.compiled import as_input
 from stages.kernels.geometry import interpolate_poses, invert
-from stages.kernels.projection import fold_limit, project
+from stages.kernels.projection import fold_limit, hidden, project
 from stages.types import Calibration, Camera, Trajectory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """The points that a camera sees."""
+    """Points in a camera's image."""
 
     index: NDArray[np.int64]  #: (m,) rows of the cloud
     pixel: NDArray[np.float32]  #: (m, 2) u v
@@ -44,10 +45,17 @@ def look(
     usable: NDArray[np.bool_],
     camera_from_sensor: NDArray[np.float64],
 ) -> View:
-    """What a camera sees of the usable points (n, 3)."""
+    """What lies in a camera's image of the usable points (n, 3), hidden or not."""
     intrinsics = camera.intrinsics()
     limit = fold_limit(intrinsics)
     seen = project(
         as_input(points), as_input(usable), camera_from_sensor, intrinsics, *camera.size, limit
     )
     return View(*seen)
+
+
+def without_hidden(view: View, camera: Camera, reach_deg: float) -> View:
+    """The points of a view that no nearer one hides, found within `reach_deg` of each."""
+    reach_px = round(camera.fx * math.tan(math.radians(reach_deg)))
+    seen = ~hidden(view.pixel, view.distance, camera.size, reach_px)
+    return View(view.index[seen], view.pixel[seen], view.distance[seen])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.errors import StageError
 from pipeline.message import Message, Span
 from pipeline.stage import Stage
-from stages.frames import View, look, map_from_sensor, mounted
+from stages.frames import View, look, map_from_sensor, mounted, without_hidden
 from stages.kernels.cluster import foreground, points_in_box
 from stages.kernels.compiled import as_input, locked
 from stages.kernels.geometry import deskew, has_return, interpolate_poses, invert, sweep_knots
@@ -23,6 +23,7 @@ from stages.taxonomy import load_taxonomy
 from stages.types import (
     CHANNELS,
     Calibration,
+    Camera,
     ClassScores,
     Cloud,
     Detections,
@@ -32,6 +33,17 @@ from stages.types import (
 )
 
 log = logging.getLogger(__name__)
+
+#: What `FuseCloud.statistics` counts over all scans; a point hidden in two images counts twice.
+COUNTED = (
+    "points",
+    "points_with_evidence",
+    "points_hidden",
+    "points_with_unsound_lidar_scores",
+    "points_with_unsound_image_scores",
+    "stamps_without_pose",
+    "sweeps_not_deskewed",
+)
 
 
 class FuseCloud(Stage):
@@ -52,16 +64,24 @@ class FuseCloud(Stage):
         calibration: Calibration,
         min_range_m: float = 1.0,
         foreground_m: float = 1.0,
+        occlusion_deg: float = 0.0,
     ) -> None:
         """`min_range_m` leaves out the vehicle itself. `foreground_m`: how far from the 25 %
         quantile of its points' distances a detected object reaches.
+
+        `occlusion_deg` above 0 gives no image evidence to points that a nearer point hides, looking
+        this far around each: the camera saw what hides them. Take the angle between the LiDAR's
+        beams or a cell of the scores, whichever is larger. The image has to be upright.
         """
+        if not 0 <= occlusion_deg < 45:
+            raise ValueError(f"occlusion_deg must be at least 0 and below 45, not {occlusion_deg}")
         for name, value in (("min_range_m", min_range_m), ("foreground_m", foreground_m)):
             if not value >= 0:
                 raise ValueError(f"{name} must be at least 0, not {value}")
         self._calibration = calibration
         self._min_range_m = min_range_m
         self._foreground_m = foreground_m
+        self._occlusion_deg = occlusion_deg
         self._classes = len(load_taxonomy())
         self._counts: Counter[str] = Counter()
 
@@ -79,9 +99,9 @@ class FuseCloud(Stage):
                 self.process(scan, (Message.at(0, image),), (Message.at(0, found),), poses)
         self._counts.clear()
 
-    def statistics(self) -> Mapping[str, int]:
-        """What was left out so far, by reason."""
-        return dict(self._counts)
+    def statistics(self) -> Mapping[str, float]:
+        """Points with a return so far, those that got evidence, and what was left out and why."""
+        return dict.fromkeys(COUNTED, 0) | self._counts
 
     def process(
         self,
@@ -99,13 +119,14 @@ class FuseCloud(Stage):
 
         @cache
         def view_of(camera: str, stamp: int) -> View | None:
-            model = self._calibration.camera(camera)
             if path is None:
-                return look(model, points, usable, mounted(self._calibration, camera, sensor))
-            map_from_camera = self._map_from(camera, stamp, path)
-            if map_from_camera is None or map_from_lidar is None:
-                return None
-            return look(model, points, usable, invert(map_from_camera) @ map_from_lidar)
+                chain = mounted(self._calibration, camera, sensor)
+            else:
+                map_from_camera = self._map_from(camera, stamp, path)
+                if map_from_camera is None or map_from_lidar is None:
+                    return None
+                chain = invert(map_from_camera) @ map_from_lidar
+            return self._view(self._calibration.camera(camera), points, usable, chain)
 
         for image in scores:
             if image and (view := view_of(image.payload.camera, image.stamp)):
@@ -113,7 +134,23 @@ class FuseCloud(Stage):
         for found in boxes:
             if found and (view := view_of(found.payload.camera, found.stamp)):
                 self._add_boxes(total, evidence, view, found.payload)
+        self._counts["points"] += int(np.count_nonzero(usable))
+        self._counts["points_with_evidence"] += int(np.count_nonzero(evidence))
         return Cloud(points, total, evidence, map_from_lidar, sensor)
+
+    def _view(
+        self,
+        camera: Camera,
+        points: NDArray[np.float32],
+        usable: NDArray[np.bool_],
+        camera_from_lidar: NDArray[np.float64],
+    ) -> View:
+        view = look(camera, points, usable, camera_from_lidar)
+        if not self._occlusion_deg:
+            return view
+        seen = without_hidden(view, camera, self._occlusion_deg)
+        self._counts["points_hidden"] += len(view.index) - len(seen.index)
+        return seen
 
     def _map_from(
         self, sensor: str, stamp: int, path: Trajectory | None
@@ -123,7 +160,7 @@ class FuseCloud(Stage):
             return None
         pose = map_from_sensor(self._calibration, sensor, stamp, path)
         if pose is None:
-            self._leave_out(f"{sensor} without a pose at its stamp", stamp)
+            self._leave_out("stamps_without_pose", f"no pose of {sensor} at its stamp", stamp)
         return pose
 
     def _points_at_stamp(
@@ -139,7 +176,7 @@ class FuseCloud(Stage):
         knots = sweep_knots(int(times_ns.min()), int(times_ns.max()))
         poses, covered = interpolate_poses(path.stamps, path.map_from_base, cloud.stamp + knots)
         if not covered.all():
-            self._leave_out("deskew: no pose over the whole sweep", cloud.stamp)
+            self._leave_out("sweeps_not_deskewed", "no pose over the whole sweep", cloud.stamp)
             return points
         base_from_lidar = self._calibration.sensor(cloud.payload.sensor).base_from_sensor
         motion = invert(map_from_lidar) @ poses @ base_from_lidar
@@ -161,7 +198,7 @@ class FuseCloud(Stage):
             )
         total = cloud.log_scores.copy()
         sound = bound_rows(total, self._classes)
-        self._counts["points with spoiled LiDAR scores"] += int(np.sum(~sound))
+        self._counts["points_with_unsound_lidar_scores"] += int(np.sum(~sound))
         return total, cloud.evidence & usable & sound
 
     def _add_scores(
@@ -186,7 +223,7 @@ class FuseCloud(Stage):
             self._classes,
         )
         sound = bound_rows(rows, self._classes)
-        self._counts["points with spoiled image scores"] += int(np.sum(~sound))
+        self._counts["points_with_unsound_image_scores"] += int(np.sum(~sound))
         accumulate(total, evidence, view.index, rows, said & sound, self._classes)
 
     def _add_boxes(
@@ -214,7 +251,7 @@ class FuseCloud(Stage):
                 total, evidence, view.index, view.pixel, members, box, score, label, self._classes
             )
 
-    def _leave_out(self, what: str, stamp: int) -> None:
+    def _leave_out(self, what: str, why: str, stamp: int) -> None:
         if not self._counts[what]:
-            log.warning("%s (first at stamp %d); counted from here on", what, stamp)
+            log.warning("%s (first at stamp %d); counted as %s from here on", why, stamp, what)
         self._counts[what] += 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from collections.abc import Mapping
 
 import numpy as np
@@ -42,11 +41,10 @@ class SemanticMap(Stage):
         self._voxel_m = voxel_m
         self._publish_every = publish_every
         self._classes = len(load_taxonomy())
-        self._counts: Counter[str] = Counter()
+        self._used = self._clouds = self._clouds_without_pose = self._points_out_of_reach = 0
 
     def open(self) -> None:
         self._used = 0
-        self._clouds = 0
         self._table = np.zeros(4 * INITIAL_VOXELS, dtype=np.int32)
         self._keys = np.empty(INITIAL_VOXELS, dtype=np.int64)
         self._scores = np.empty((INITIAL_VOXELS, CHANNELS), dtype=np.float32)
@@ -57,15 +55,22 @@ class SemanticMap(Stage):
         # Compiles the kernel (or loads it from the cache) now, not during the first cloud.
         self._integrate(Cloud(nothing, said, np.zeros(0, np.bool_), None, ""), as_input(np.eye(4)))
 
-    def statistics(self) -> Mapping[str, int]:
-        """Voxels held, and what was left out so far by reason."""
-        return {"voxels": self._used, **self._counts}
+    def statistics(self) -> Mapping[str, float]:
+        """Voxels held, clouds integrated, and what was left out and why."""
+        return {
+            "voxels": self._used,
+            "clouds": self._clouds,
+            "clouds_without_pose": self._clouds_without_pose,
+            "points_out_of_reach": self._points_out_of_reach,
+        }
 
     def process(self, cloud: Message[Cloud]) -> SemanticVoxels | None:
         if cloud.payload.map_from_sensor is None:
-            if not self._counts["clouds without a pose"]:
-                log.warning("cloud at stamp %d has no pose and is left out", cloud.stamp)
-            self._counts["clouds without a pose"] += 1
+            if not self._clouds_without_pose:
+                log.warning(
+                    "no pose of the cloud at stamp %d; such clouds are left out", cloud.stamp
+                )
+            self._clouds_without_pose += 1
             return None
         self._integrate(cloud.payload, as_input(cloud.payload.map_from_sensor))
         self._clouds += 1
@@ -97,7 +102,7 @@ class SemanticMap(Stage):
                 self._used,
                 start,
             )
-            self._counts["points beyond the map"] += beyond
+            self._points_out_of_reach += beyond
             if start == len(cloud.points):
                 return
             self._grow()

@@ -16,8 +16,8 @@ from stages.kernels.compiled import compiled
 #: Points nearer to the camera plane than this are behind the lens or on it.
 MIN_DEPTH_M = 0.1
 
-#: A point hides what lies farther than this share and this length behind it: a tenth and half a meter
-#: leave a surface seen at a slant and the sensors' few centimeters of parallax alone.
+#: A point hides what lies farther behind it than this share of its distance and this length: a
+#: surface seen at a slant does not hide itself.
 HIDES_SHARE = 0.1
 HIDES_M = 0.5
 
@@ -97,9 +97,9 @@ def hidden(
 
     Of points at `pixel` (m, 2) u v and `distance` (m,) m in an image of `size` (width, height): one
     is hidden when a point at most `reach_px` beside or above it is nearer by more than
-    `HIDES_SHARE` and `HIDES_M`. Below does not count: on the ground the lower point is always the
-    nearer one, and a window to all sides takes a fifth of a street scene for hidden, the far road
-    first. What is hidden by something low is what that reaches above, so nothing is missed.
+    `HIDES_SHARE` and `HIDES_M`. What hides a point rises above it in the image, so nothing is
+    looked for below: there the ground itself is nearer, and a window to all sides took a fifth of
+    a street for hidden, the far road first.
     """
     column, row = np.rint(pixel).astype(np.int64).T
     nearest = np.full((size[1], size[0]), np.inf, dtype=np.float32)

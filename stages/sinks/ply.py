@@ -12,6 +12,7 @@ from pipeline.message import Message
 from pipeline.stage import Stage
 from stages.kernels.compiled import as_input
 from stages.kernels.probability import read_out
+from stages.sinks.last_map import LastMap
 from stages.sinks.whole_file import whole_file
 from stages.taxonomy import Taxonomy, load_taxonomy
 from stages.types import Cloud, SemanticVoxels
@@ -33,23 +34,12 @@ VERTEX = np.dtype(
 PLY_TYPES = {"<f4": "float", "|u1": "uchar"}
 
 
-class WritePly(Stage):
+class WritePly(LastMap):
     """Writes the last map it got to `path` when it closes."""
 
-    inline = True
-
-    def __init__(self, *, path: Path) -> None:
-        self._path = Path(path)
-        self._last: SemanticVoxels | None = None
-
-    def process(self, map: Message[SemanticVoxels]) -> None:
-        self._last = map.payload
-
-    def close(self) -> None:
-        if self._last is not None:
-            voxels, self._last = self._last, None
-            vertices = vertices_of(voxels.positions, voxels.log_scores, load_taxonomy())
-            write_ply(self._path, vertices, "map frame")
+    def write(self, path: Path, voxels: SemanticVoxels) -> None:
+        vertices = vertices_of(voxels.positions, voxels.log_scores, load_taxonomy())
+        write_ply(path, vertices, "map frame")
 
 
 class WriteCloudPly(Stage):

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.message import Message
-from pipeline.stage import Stage
 from stages.kernels.compiled import as_input
 from stages.kernels.probability import read_out
 from stages.kernels.render import add_legend, encode_png, top_view
+from stages.sinks.last_map import LastMap
 from stages.sinks.whole_file import whole_file
 from stages.taxonomy import load_taxonomy
 from stages.types import SemanticVoxels
@@ -19,7 +18,7 @@ from stages.types import SemanticVoxels
 LONGEST_SIDE = 1800  #: pixels that a picture fills at least half of
 
 
-class TopView(Stage):
+class TopView(LastMap):
     """Draws the last map it got to `path` (PNG) when it closes.
 
     The highest voxel of each column in its class color, a legend of the classes present and a scale
@@ -27,20 +26,9 @@ class TopView(Stage):
     background and sky are left out.
     """
 
-    inline = True
-
-    def __init__(self, *, path: Path) -> None:
-        self._path = Path(path)
-        self._last: SemanticVoxels | None = None
-
-    def process(self, map: Message[SemanticVoxels]) -> None:
-        self._last = map.payload
-
-    def close(self) -> None:
-        if self._last is not None:
-            voxels, self._last = self._last, None
-            with whole_file(self._path) as file:
-                file.write(encode_png(draw_map(voxels)))
+    def write(self, path: Path, voxels: SemanticVoxels) -> None:
+        with whole_file(path) as file:
+            file.write(encode_png(draw_map(voxels)))
 
 
 def draw_map(voxels: SemanticVoxels) -> NDArray[np.uint8]:

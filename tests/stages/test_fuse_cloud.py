@@ -144,7 +144,21 @@ def test_an_instant_without_a_pose_is_left_out_and_counted() -> None:
     cloud = stage.process(scan(), (late,), (), forward_at(1.0))
     assert not cloud.evidence.any()
     assert cloud.map_from_sensor is not None
-    assert stage.statistics()["rgb without a pose at its stamp"] == 1
+    assert stage.statistics()["stamps_without_pose"] == 1
+
+
+def test_what_a_nearer_point_hides_gets_no_image_evidence() -> None:
+    car, behind, above = [5.0, 0, 0], [12.0, 0, -0.2], [12.0, 0, 2.0]  # in one column of pixels
+    points = np.array([car, behind, above], np.float32)
+    image = halves(ROAD, VEHICLE)
+    plain = FuseCloud(calibration=CALIBRATION).process(scan(points), (image,))
+    assert plain.evidence.tolist() == [True, True, True]
+    stage = FuseCloud(calibration=CALIBRATION, occlusion_deg=3.0)
+    cloud = stage.process(scan(points), (image, image), (boxes(([40, 0, 60, 80], VEHICLE, 0.9)),))
+    assert cloud.evidence.tolist() == [True, False, True]
+    counted = stage.statistics()
+    assert counted["points_hidden"] == 1  # one view serves all that was taken at its instant
+    assert (counted["points"], counted["points_with_evidence"]) == (3, 2)
 
 
 def test_a_box_claims_its_foreground_by_eq_4() -> None:
@@ -178,7 +192,7 @@ def test_spoiled_scores_are_no_evidence_and_counted() -> None:
     cloud = stage.process(scan(), (image,))
     np.testing.assert_allclose(posterior(cloud), 1 / C, atol=1e-6)
     assert not cloud.evidence.any()
-    assert stage.statistics()["points with spoiled image scores"] == 2
+    assert stage.statistics()["points_with_unsound_image_scores"] == 2
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3), np.float32), np.zeros((5, 3), np.float32)])
@@ -210,6 +224,8 @@ def test_mistakes_in_options_and_sensors_are_said() -> None:
         FuseCloud(calibration=CALIBRATION, min_range_m=-1.0)
     with pytest.raises(ValueError, match="foreground_m must be at least 0, not nan"):
         FuseCloud(calibration=CALIBRATION, foreground_m=float("nan"))
+    with pytest.raises(ValueError, match="occlusion_deg must be at least 0 and below 45, not 90"):
+        FuseCloud(calibration=CALIBRATION, occlusion_deg=90.0)
     image = halves(ROAD, VEHICLE)
     with pytest.raises(DataError, match=r"no calibration for sensor 'rgb' \(known: none\)"):
         FuseCloud(calibration=Calibration()).run_once(scan(), (image,))

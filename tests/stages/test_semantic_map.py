@@ -84,7 +84,7 @@ def test_a_cloud_without_a_pose_is_left_out_and_counted() -> None:
     stage = SemanticMap()
     stage.open()
     assert stage.process(cloud(pose=False)) is None
-    assert stage.statistics()["clouds without a pose"] == 1
+    assert stage.statistics()["clouds_without_pose"] == 1
     assert stage.statistics()["voxels"] == 0
 
 

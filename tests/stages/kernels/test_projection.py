@@ -8,7 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages.kernels.geometry import rotation_exp
-from stages.kernels.projection import MIN_DEPTH_M, fold_limit, project, unproject
+from stages.kernels.projection import (
+    HIDES_M,
+    HIDES_SHARE,
+    MIN_DEPTH_M,
+    fold_limit,
+    hidden,
+    project,
+    unproject,
+)
 
 PLAIN = np.array([500.0, 510.0, 420.0, 240.0, 0, 0, 0, 0, 0])
 BARREL = np.array([500.0, 510.0, 420.0, 240.0, -0.3, 0.08, 1e-3, -5e-4, 0.0])
@@ -83,3 +91,45 @@ def test_points_behind_the_camera_are_not_seen() -> None:
     points = np.array([[0, 0, -5], [0, 0, 0], [0, 0, 0.09], [0, 0, 5]], np.float32)
     index, _, _ = project(points, np.ones(4, bool), np.eye(4), PLAIN, 848, 480, np.inf)
     assert index.tolist() == [3]
+
+
+def test_a_point_is_hidden_by_a_nearer_one_above_or_beside_it_but_not_below() -> None:
+    near, far = 5.0, 10.0
+    pixel = np.array([[50, 40], [50, 43], [53, 40], [50, 37], [50, 46]], np.float32)
+    distance = np.array([near, far, far, far, far], np.float32)
+    found = hidden(pixel, distance, (100, 80), 4)
+    assert found.tolist() == [False, True, True, False, False]
+    assert not hidden(pixel, np.full(5, far, np.float32), (100, 80), 4).any()
+    assert hidden(pixel[:0], distance[:0], (100, 80), 4).shape == (0,)
+
+
+def test_open_ground_hides_nothing_of_itself_and_a_wall_what_stands_behind_it() -> None:
+    x, y = np.meshgrid(np.linspace(-8, 8, 161), np.geomspace(3, 40, 80))
+    ground = np.stack([x.ravel(), np.full(x.size, 1.7), y.ravel()], axis=1)
+    across, up = np.meshgrid(np.linspace(-2, 2, 81), np.linspace(0, 1.7, 35))
+    wall = np.stack([across.ravel(), up.ravel(), np.full(up.size, 8.0)], axis=1)
+    points = np.concatenate([ground, wall]).astype(np.float32)
+    usable = np.ones(len(points), bool)
+    camera = np.array([400.0, 400.0, 424.0, 240.0, 0, 0, 0, 0, 0])
+
+    index, pixel, distance = project(points, usable, np.eye(4), camera, 848, 480, np.inf)
+    found = np.zeros(len(points), bool)
+    found[index] = hidden(pixel, distance, (848, 480), 6)
+    reached = points[:, :2] / points[:, 2:] * 8.0  # where the ray goes through the wall's plane
+    behind = (points[:, 2] > 9.5) & (np.abs(reached[:, 0]) < 2) & (reached[:, 1] < 1.7)
+    assert found[behind].mean() > 0.99
+    beside = np.abs(reached[:, 0]) > 2.2
+    assert not found[beside | (points[:, 2] <= 8)].any()
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 9))
+def test_hidden_agrees_with_looking_at_every_pair(seed: int, reach: int) -> None:
+    rng = np.random.default_rng(seed)
+    pixel = (rng.random((40, 2)) * (59, 39)).astype(np.float32)
+    distance = rng.uniform(1, 20, 40).astype(np.float32)
+    u, v = np.rint(pixel).astype(int).T
+    near = (np.abs(u[:, None] - u) <= reach) & (v <= v[:, None]) & (v[:, None] - v <= reach)
+    least = np.where(near, distance, np.inf).min(axis=1)
+    expected = distance > least * (1 + HIDES_SHARE) + HIDES_M
+    assert hidden(pixel, distance, (60, 40), reach).tolist() == expected.tolist()
