@@ -95,6 +95,7 @@ def stage_text(cls: type[Stage]) -> str:
             option["name"],
             option["type"],
             "required" if option["required"] else f"default {option['default']}",
+            option["doc"],
         )
         for option in values["options"]
     ]
@@ -177,6 +178,7 @@ def _as_values(cls: type[Stage]) -> dict[str, Any]:
                 "type": option.type_name,
                 "required": option.required,
                 "default": None if option.required else _plain(option.default),
+                "doc": option.doc,
             }
             for option in contract.options
         ],

@@ -23,9 +23,13 @@ from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph
 from pipeline.message import Message
 from pipeline.model import Accelerator, BoundModel
+from pipeline.scheduling.events import Reason
 from pipeline.scheduling.scheduler import Scheduler
 from pipeline.scheduling.topology import Port
 from pipeline.stage import ModelStage, Source, Stage
+
+#: Reasons that a person watching a run counts as a loss.
+LOSSES = tuple(set(Reason) - {Reason.PASSED_OVER, Reason.DECIMATED, Reason.NOT_WANTED})
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +47,7 @@ class Snapshot:
 
     elapsed_s: float
     outputs: Mapping[str, OutputSnapshot]
-    dropped: int
+    dropped: int  #: messages lost, without those that no set needed and that rate_hz leaves out
     events: Sequence[Event]  #: everything that a person should know, so far; grows
 
 
@@ -218,7 +222,12 @@ def _snapshot(graph: Graph, statistics: Statistics, elapsed_ns: int) -> Snapshot
                 known.rate_hz() if known else None,
                 None if age is None else age / 1e6,
             )
-    return Snapshot(elapsed_ns / 1e9, outputs, sum(statistics.drops.values()), statistics.events)
+    return Snapshot(
+        elapsed_ns / 1e9,
+        outputs,
+        sum(statistics.drops[reason] for reason in LOSSES),
+        statistics.events,
+    )
 
 
 @contextlib.contextmanager

@@ -217,7 +217,7 @@ class Streams:
     def _stale(self, stage: StageState, slots: Sequence[Slot]) -> None:
         for slot in slots:
             name = next(edge.name for edge in stage.synced_edges if edge.slot is slot)
-            text = "nothing came within max_wait_ms: sets go on without it until it is back"
+            text = "not in time within max_wait_ms: sets no longer wait for it, until it is again"
             self._observer.event("stale", name, text, self._now)
 
     def _trigger_lost(self, stage: StageState, entry: WaitingSet, reason: Reason) -> None:

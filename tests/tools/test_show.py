@@ -76,8 +76,20 @@ def test_a_page_shows_ports_options_and_traits() -> None:
     ]
     assert page["outputs"] == [{"name": "out", "payload": ["float"]}]
     assert page["options"] == [
-        {"name": "factor", "type": "float", "required": True, "default": None},
-        {"name": "words", "type": "tuple[str, ...]", "required": False, "default": ["a"]},
+        {
+            "name": "factor",
+            "type": "float",
+            "required": True,
+            "default": None,
+            "doc": "By its `factor`.",
+        },
+        {
+            "name": "words",
+            "type": "tuple[str, ...]",
+            "required": False,
+            "default": ["a"],
+            "doc": "",
+        },
     ]
     assert page["traits"] == ["stateless"]
 
@@ -88,6 +100,6 @@ def test_the_text_of_a_page_says_the_same() -> None:
     assert "Weighs a number." in text
     assert [line.split() for line in text.splitlines()[-3:]] == [
         ["Options"],
-        ["factor", "float", "required"],
+        ["factor", "float", "required", "By", "its", "`factor`."],
         ["words", "tuple[str,", "...]", "default", "['a']"],
     ]
