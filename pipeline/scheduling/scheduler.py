@@ -162,7 +162,7 @@ class Scheduler(Streams):
         self._begin(now)
         for stage in self._stages:
             for run in stage.runs:
-                if run.ended is None:
+                if run.ended != "failed":
                     run.ended = "abandoned"
             stage.finishing.clear()
             self._commit(stage)

@@ -104,7 +104,8 @@ class ReferenceScheduler(Streams):
         self.stop(now)
         for node in self.nodes:
             for job in self._in_flight(node):
-                job.running, job.how = False, "abandoned"
+                job.running = False
+                job.how = "failed" if job.how == "failed" else "abandoned"
             self._leave(node)
         return []
 
