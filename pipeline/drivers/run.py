@@ -219,7 +219,7 @@ def _snapshot(graph: Graph, statistics: Statistics, elapsed_ns: int) -> Snapshot
             age = median_low(known.recent_ages) if known and known.recent_ages else None
             outputs[str(key)] = OutputSnapshot(
                 known.count if known else 0,
-                known.rate_hz() if known else None,
+                known.rate_hz() if known and not statistics.offline else None,
                 None if age is None else age / 1e6,
             )
     return Snapshot(

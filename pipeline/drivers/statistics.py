@@ -107,7 +107,7 @@ class Statistics(Observer):
     """Collects while the graph runs; written under the driver's lock only."""
 
     def __init__(self, *, offline: bool) -> None:
-        self._offline = offline
+        self.offline = offline
         self.ports: dict[Port, PortStatistics] = {}
         self.stages: dict[str, StageStatistics] = {}
         self.drops: Counter[Reason] = Counter()
@@ -123,7 +123,7 @@ class Statistics(Observer):
             statistics = self.ports[port] = PortStatistics(first_ns=now)
         statistics.count += 1
         statistics.last_ns = now
-        if self._offline or not message.lineage:
+        if self.offline or not message.lineage:
             return
         oldest = message.lineage[0]
         if len(message.lineage) > 1:
@@ -151,7 +151,7 @@ class Statistics(Observer):
         statistics = self.stage(run.stage)
         if how == "failed":
             statistics.errors += 1
-        elif how == "finished" and not self._offline:
+        elif how == "finished" and not self.offline:
             statistics.latency.add(now - run.inputs.trigger.received)
 
     def event(self, kind: str, subject: str, text: str, now: int) -> None:
