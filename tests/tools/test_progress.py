@@ -40,7 +40,7 @@ def test_the_ends_are_the_ports_that_only_sinks_or_nobody_read() -> None:
 
 def test_the_line_tells_time_rate_age_and_drops() -> None:
     line = progress_line(snapshot(12.3), end_ports(TOPOLOGY))
-    assert line == "  12.3 s   detect 9.9 Hz, 142 ms old   detect/debug 0   31 dropped"
+    assert line == "  12.3 s   detect 9.9 Hz, 142 ms old   detect/debug 0 messages   31 dropped"
 
 
 def test_without_a_terminal_a_plain_line_comes_every_few_seconds() -> None:
