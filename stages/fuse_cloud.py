@@ -6,6 +6,7 @@ import logging
 from collections import Counter
 from collections.abc import Mapping
 from functools import cache
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,19 @@ from pipeline.errors import StageError
 from pipeline.message import Message, Span
 from pipeline.stage import Stage
 from stages.frames import View, look, map_from_sensor, mounted, without_hidden
-from stages.kernels.cluster import foreground, points_in_box
+from stages.kernels.cluster import points_in_box
 from stages.kernels.compiled import as_input, locked
+from stages.kernels.foreground import (
+    Claim,
+    apply_claims,
+    cluster,
+    cluster_organized,
+    near_depth,
+    reach_m,
+    seed,
+)
 from stages.kernels.geometry import deskew, has_return, interpolate_poses, invert, sweep_knots
-from stages.kernels.probability import accumulate, add_detection, bound_rows, uniform_rows
+from stages.kernels.probability import accumulate, bound_rows, uniform_rows
 from stages.kernels.sampling import sample_scores
 from stages.taxonomy import load_taxonomy
 from stages.types import (
@@ -63,11 +73,15 @@ class FuseCloud(Stage):
         *,
         calibration: Calibration,
         min_range_m: float = 1.0,
+        foreground: Literal["cluster", "depth", "box"] = "cluster",
+        vertical_pitch_deg: float = 90 / 128,
         foreground_m: float = 1.0,
         occlusion_deg: float = 0.0,
     ) -> None:
-        """`min_range_m` leaves out the vehicle itself. `foreground_m`: how far from the 25 %
-        quantile of its points' distances a detected object reaches.
+        """`min_range_m` leaves out the vehicle itself. `foreground`: which points of a box are the
+        object: the Euclidean cluster from the 25 % quantile of their distances (eq 5), whose
+        neighbors lie within 1.5 times the spacing of beams `vertical_pitch_deg` apart; those within
+        `foreground_m` of that quantile; or all.
 
         `occlusion_deg` above 0 gives no image evidence to points that a nearer point hides, looking
         this far around each: the camera saw what hides them. Take the angle between the LiDAR's
@@ -75,11 +89,17 @@ class FuseCloud(Stage):
         """
         if not 0 <= occlusion_deg < 45:
             raise ValueError(f"occlusion_deg must be at least 0 and below 45, not {occlusion_deg}")
+        if not 0 < vertical_pitch_deg < 45:
+            raise ValueError(
+                f"vertical_pitch_deg must be above 0 and below 45, not {vertical_pitch_deg}"
+            )
         for name, value in (("min_range_m", min_range_m), ("foreground_m", foreground_m)):
             if not value >= 0:
                 raise ValueError(f"{name} must be at least 0, not {value}")
         self._calibration = calibration
         self._min_range_m = min_range_m
+        self._foreground = foreground
+        self._pitch_rad = float(np.radians(vertical_pitch_deg))
         self._foreground_m = foreground_m
         self._occlusion_deg = occlusion_deg
         self._classes = len(load_taxonomy())
@@ -97,6 +117,13 @@ class FuseCloud(Stage):
                 grid = np.zeros((1, 2, 2, CHANNELS), dtype=kind)
                 image = ClassScores(grid, box, 1.0, 0, False, camera, (1, 1))
                 self.process(scan, (Message.at(0, image),), (Message.at(0, found),), poses)
+            row, near = np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.float32)
+            for shape in (None, (1, 1)):
+                member = self._members(as_input(point), shape, row, near)
+            pixel, votes = np.zeros((1, 2), dtype=np.float32), np.zeros(1, dtype=np.uint32)
+            claim = Claim(row, pixel, member, as_input(box[0]), 1, 0.5, 1)
+            total = uniform_rows(1, self._classes)
+            apply_claims([claim], total, votes, total.copy(), votes.copy(), self._classes)
         self._counts.clear()
 
     def statistics(self) -> Mapping[str, float]:
@@ -116,6 +143,8 @@ class FuseCloud(Stage):
         points = as_input(self._points_at_stamp(cloud, path, map_from_lidar))
         usable = has_return(points, self._min_range_m)
         total, evidence = self._prior(cloud.payload, usable)
+        voted = evidence.astype(np.uint32)
+        prior, prior_voted = total.copy(), voted.copy()
 
         @cache
         def view_of(camera: str, stamp: int) -> View | None:
@@ -128,15 +157,20 @@ class FuseCloud(Stage):
                 chain = invert(map_from_camera) @ map_from_lidar
             return self._view(self._calibration.camera(camera), points, usable, chain)
 
-        for image in scores:
+        for bit, image in enumerate(scores, start=1):
             if image and (view := view_of(image.payload.camera, image.stamp)):
-                self._add_scores(total, evidence, view, image.payload)
-        for found in boxes:
+                said = self._add_scores(total, evidence, view, image.payload)
+                voted[view.index[said]] |= np.uint32(1 << bit)
+        claims: list[Claim] = []
+        shape = cloud.payload.shape
+        for bit, found in enumerate(boxes, start=1 + len(scores)):
             if found and (view := view_of(found.payload.camera, found.stamp)):
-                self._add_boxes(total, evidence, view, found.payload)
+                claims += self._claims(points, shape, view, found.payload, 1 << bit)
+        apply_claims(claims, total, voted, prior, prior_voted, self._classes)
+        evidence = voted != 0
         self._counts["points"] += int(np.count_nonzero(usable))
         self._counts["points_with_evidence"] += int(np.count_nonzero(evidence))
-        return Cloud(points, total, evidence, map_from_lidar, sensor)
+        return Cloud(points, total, evidence, map_from_lidar, sensor, None, shape, voted)
 
     def _view(
         self,
@@ -207,7 +241,8 @@ class FuseCloud(Stage):
         evidence: NDArray[np.bool_],
         view: View,
         image: ClassScores,
-    ) -> None:
+    ) -> NDArray[np.bool_]:
+        """Multiply an image's scores in; which points of the view it spoke of."""
         if image.grid.ndim != 4 or image.grid.shape[3] != CHANNELS:
             raise StageError(
                 f"scores of '{image.camera}': grid of shape {image.grid.shape}; "
@@ -224,32 +259,53 @@ class FuseCloud(Stage):
         )
         sound = bound_rows(rows, self._classes)
         self._counts["points_with_unsound_image_scores"] += int(np.sum(~sound))
-        accumulate(total, evidence, view.index, rows, said & sound, self._classes)
+        said &= sound
+        accumulate(total, evidence, view.index, rows, said, self._classes)
+        return np.asarray(said)
 
-    def _add_boxes(
+    def _claims(
         self,
-        total: NDArray[np.float32],
-        evidence: NDArray[np.bool_],
+        points: NDArray[np.float32],
+        shape: tuple[int, int] | None,
         view: View,
         found: Detections,
-    ) -> None:
-        """Each point gets only the strongest box of a class: boxes of one detector overlap."""
-        claimed = np.zeros((self._classes, len(view.index)), dtype=np.bool_)
-        for number in np.argsort(-found.scores, kind="stable"):
-            box, label = as_input(found.boxes[number]), int(found.classes[number])
+        source: int,
+    ) -> list[Claim]:
+        """What the boxes of one detector say of the points."""
+        claims = []
+        for number, (box, score) in enumerate(zip(found.boxes, found.scores, strict=True)):
+            label = int(found.classes[number])
             if not 0 <= label < self._classes:
                 raise StageError(
                     f"boxes of '{found.camera}': class {label} is none of the taxonomy's "
                     f"0..{self._classes - 1}"
                 )
-            members = points_in_box(view.pixel, box)
-            members = members[foreground(view.distance[members], self._foreground_m)]
-            members = members[~claimed[label, members]]
-            claimed[label, members] = True
-            score = float(found.scores[number])
-            add_detection(
-                total, evidence, view.index, view.pixel, members, box, score, label, self._classes
+            inside = points_in_box(view.pixel, as_input(box))
+            index, distance = view.index[inside], view.distance[inside]
+            member = self._members(points, shape, index, distance)
+            claims.append(
+                Claim(index, view.pixel[inside], member, as_input(box), label, float(score), source)
             )
+        return claims
+
+    def _members(
+        self,
+        points: NDArray[np.float32],
+        shape: tuple[int, int] | None,
+        index: NDArray[np.int64],
+        distance: NDArray[np.float32],
+    ) -> NDArray[np.bool_]:
+        """Which of a box's points, at `distance` (j,) from the camera, are the object."""
+        first = seed(distance)
+        if first < 0 or self._foreground == "box":
+            return np.ones(len(index), dtype=np.bool_)
+        seed_m = float(distance[first])
+        if self._foreground == "depth":
+            return near_depth(distance, seed_m, self._foreground_m)
+        tau = reach_m(seed_m, self._pitch_rad)
+        if shape is None:
+            return np.asarray(cluster(points, index, first, tau))
+        return np.asarray(cluster_organized(points, index, first, tau, *shape, self._pitch_rad))
 
     def _leave_out(self, what: str, why: str, stamp: int) -> None:
         if not self._counts[what]:

@@ -121,6 +121,10 @@ class Cloud:
     times_ns: NDArray[np.int32] | None = (
         None  #: (n,) as in `Scan`; None: all points are where they were at the stamp
     )
+    shape: tuple[int, int] | None = None  #: as in `Scan`
+    voted: NDArray[np.uint32] | None = (
+        None  #: (n,) who gave evidence: bit 0 the LiDAR network, then each edge of scores, of boxes
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

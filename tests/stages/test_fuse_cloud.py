@@ -154,7 +154,7 @@ def test_what_a_nearer_point_hides_gets_no_image_evidence() -> None:
     plain = FuseCloud(calibration=CALIBRATION).process(scan(points), (image,))
     assert plain.evidence.tolist() == [True, True, True]
     stage = FuseCloud(calibration=CALIBRATION, occlusion_deg=3.0)
-    cloud = stage.process(scan(points), (image, image), (boxes(([40, 0, 60, 80], VEHICLE, 0.9)),))
+    cloud = stage.process(scan(points), (image, image), (boxes(([40, 0, 60, 80], PERSON, 0.9)),))
     assert cloud.evidence.tolist() == [True, False, True]
     counted = stage.statistics()
     assert counted["points_hidden"] == 1  # one view serves all that was taken at its instant
@@ -204,6 +204,37 @@ def test_an_empty_scan_fuses_to_an_empty_or_unlabeled_cloud(points: np.ndarray) 
     cloud = stage.run_once(scan(points, times), (image,), (found,), forward_at(1.0))
     assert len(cloud.points) == len(cloud.log_scores) == len(points)
     assert not cloud.evidence.any()
+
+
+def test_what_stands_behind_a_box_s_object_loses_the_class_that_bled_onto_it() -> None:
+    person, wall = [5.0, 0, 0], [9.0, 0, 0]
+    image = halves(ROAD, PERSON)  # the whole middle says person
+    lidar = np.zeros((2, 16), np.float32)
+    lidar[:, 1] = 2.0  # and the LiDAR building
+    cloud = Cloud(np.array([person, wall], np.float32), lidar, np.ones(2, bool), None, "lidar")
+    stage = FuseCloud(calibration=CALIBRATION)
+    fused = stage.run_once(
+        Message.at(SECOND, cloud), (image,), (boxes(([40, 20, 60, 60], PERSON, 0.8)),)
+    )
+    assert posterior(fused).argmax(axis=1).tolist() == [PERSON, 1]
+    assert fused.voted is not None
+    assert fused.voted.tolist() == [0b111, 0b001]
+
+
+@pytest.mark.parametrize(
+    ("foreground", "claimed"),
+    [("cluster", [True, False, False]), ("depth", [True, True, False]), ("box", [True] * 3)],
+)
+def test_the_object_in_a_box_is_a_cluster_a_slice_of_depth_or_all(
+    foreground: str, claimed: list[bool]
+) -> None:
+    points = np.array([[5.0, 0, 0], [5.5, 0, 0], [9.0, 0, 0]], np.float32)
+    stage = FuseCloud(calibration=CALIBRATION, foreground=foreground)  # type: ignore[arg-type]
+    for shape in (None, (1, 3)):
+        payload = Scan(points, None, None, shape, "lidar")
+        found = boxes(([40, 20, 60, 60], PERSON, 0.8))
+        fused = stage.run_once(Message.at(SECOND, payload), (), (found,))
+        assert fused.evidence.tolist() == claimed
 
 
 def test_payloads_of_a_wrong_shape_or_class_are_refused_before_the_kernels() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.message import Message
-from stages import semantic_map
+from stages import voxel_map
 from stages.kernels.probability import softmax
 from stages.semantic_map import SemanticMap
 from stages.types import Cloud, SemanticVoxels
@@ -71,7 +71,7 @@ def test_a_map_that_outgrows_its_arrays_is_the_map_that_had_room(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     roomy = mapped(*map(cloud, range(4)))[-1]
-    monkeypatch.setattr(semantic_map, "INITIAL_VOXELS", 16)
+    monkeypatch.setattr(voxel_map, "INITIAL_VOXELS", 16)
     grown = mapped(*map(cloud, range(4)))[-1]
     assert roomy is not None
     assert grown is not None
