@@ -164,7 +164,9 @@ class SegmentScan(ModelStage):
             rows, said = rows_by_neighbors(as_input(probabilities), *back)
         else:
             rows, said = rows_by_cell(as_input(scores), *back)
-        return Cloud(payload.points, rows, said, None, payload.sensor, payload.times_ns, payload.shape)
+        return Cloud(
+            payload.points, rows, said, None, payload.sensor, payload.times_ns, payload.shape
+        )
 
     def _place(
         self, scan: Scan, points: NDArray[np.float32]

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 #: Between two plain lines: a log of an hour's flight stays readable.
 PLAIN_PERIOD_S = 5.0
 
+#: Until the first message; loading models and compiling kernels is what takes the time.
+OPENING = "opening devices, models and stages (the first run compiles kernels, up to a minute) ..."
+
 
 def end_ports(topology: Topology) -> tuple[str, ...]:
     """The output ports at the end of the graph: read by nobody, or by sinks alone.
@@ -51,13 +54,15 @@ class Progress:
     def __init__(self, topology: Topology, console: Console) -> None:
         self._ends = end_ports(topology)
         self._console = console
-        self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._live = Live(Text(OPENING), console=console, auto_refresh=False, transient=True)
         self._next_plain_s = PLAIN_PERIOD_S
         self._events_shown = 0
 
     def __enter__(self) -> Self:
         if self._console.is_terminal:
-            self._live.start()
+            self._live.start(refresh=True)
+        else:
+            self._say(OPENING)
         return self
 
     def __exit__(
