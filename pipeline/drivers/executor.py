@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pipeline.drivers.sealing import seal
 from pipeline.errors import StageError
 from pipeline.message import Message
 from pipeline.model import BoundModel, Native, Tensors
@@ -96,5 +97,7 @@ def _first_parameter(function: Callable[..., Any] | None) -> list[str]:
 
 def _output(port: int, value: Any) -> Output:
     if isinstance(value, Message):
+        seal(value.payload)
         return Output(port, value.payload, value.stamp, value.begin, value.end)
+    seal(value)
     return Output(port, value)

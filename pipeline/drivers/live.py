@@ -20,6 +20,7 @@ from typing import Any
 
 from pipeline.clock import ScaledClock
 from pipeline.drivers.executor import Worker
+from pipeline.drivers.sealing import seal
 from pipeline.drivers.statistics import OnFailure, Statistics
 from pipeline.drivers.threads import name_this_thread
 from pipeline.message import Message
@@ -200,6 +201,7 @@ class LiveDriver:
                 return
             if message is None:
                 return
+            seal(message.payload)
             while (wait := self._clock.seconds_until(message.received)) > 0:
                 if self._stop.wait(wait):
                     return

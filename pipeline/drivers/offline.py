@@ -15,6 +15,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from pipeline.drivers.executor import Worker
+from pipeline.drivers.sealing import seal
 from pipeline.drivers.statistics import OnFailure, Statistics
 from pipeline.message import Message
 from pipeline.scheduling.events import Output, Start, Step
@@ -82,6 +83,7 @@ class OfflineDriver:
             message = None
         self._statistics.step(name, Step.PROCESS, time.thread_time_ns() - before)
         if message is not None:
+            seal(message.payload)
             heads[name] = message
             return
         heads.pop(name, None)
