@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -324,6 +325,8 @@ def main() -> None:
     if problem:
         complain(problem)
         sys.exit(USER_MISTAKE)
+    # numpy's linear algebra on one thread, as all of ours is; read when numpy is first imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Custom stages are imported from the working folder; last, so that it hides nothing of ours.
     sys.path.append(str(Path.cwd()))
     try:
