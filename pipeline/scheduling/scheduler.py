@@ -266,10 +266,10 @@ class Scheduler(Streams):
                 if not keyed:
                     return False
                 best = self._stages[min(keyed, key=keyed.__getitem__)]
-            if self._start_cpu_step(best):
-                return True
-            del self._wanting[best.index]
-            if self._dirty:
+            started = self._start_cpu_step(best)
+            if not started or not best.stateless:  # it asks again when its step is over
+                del self._wanting[best.index]
+            if started or self._dirty:
                 return True
         return False
 
