@@ -15,8 +15,7 @@ from typer.testing import CliRunner
 from pipeline.scheduling.sync import Synchronizer
 from tools.bench.__main__ import NAMES, bench
 from tools.bench.approximate_time import ApproximateTime
-from tools.bench.harness import Latency as Us
-from tools.bench.harness import Ratio, Row, interleave, latency_row, quantile, ratio
+from tools.bench.harness import Latency, Ratio, Row, interleave, latency_row, quantile, ratio
 from tools.bench.sync import CAMERA, LIDAR, NEAREST, TRIGGER, by_arrival, gap_row, play
 
 app = Typer()
@@ -78,11 +77,11 @@ def test_a_ratio_is_taken_round_by_round() -> None:
 
 
 def test_a_row_meets_its_goal_only_where_both_ratios_do() -> None:
-    floor = Us([[1.0] * 99 + [2.0]])
-    fast, late = Us([[1.4] * 100]), Us([[1.4] * 98 + [9.0] * 2])
+    floor = Latency([[1.0] * 99 + [2.0]])
+    fast, late = Latency([[1.4] * 100]), Latency([[1.4] * 98 + [9.0] * 2])
     assert latency_row("x", fast, floor, "floor", p50=1.5, p99=3).met
     assert not latency_row("x", late, floor, "floor", p50=1.5, p99=3).met
-    assert not latency_row("x", Us([[1.6] * 100]), floor, "floor", p50=1.5, p99=3).met
+    assert not latency_row("x", Latency([[1.6] * 100]), floor, "floor", p50=1.5, p99=3).met
     assert latency_row("x", fast, floor, "floor", p50=1.5, hold=False).met is None
 
 
