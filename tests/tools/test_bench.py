@@ -12,10 +12,21 @@ from hypothesis import strategies as st
 from typer import Typer
 from typer.testing import CliRunner
 
+from pipeline.drivers.run import RunResult
 from pipeline.scheduling.sync import Synchronizer
+from tools.bench import emulated
 from tools.bench.__main__ import NAMES, bench
 from tools.bench.approximate_time import ApproximateTime
-from tools.bench.harness import Latency, Ratio, Row, interleave, latency_row, quantile, ratio
+from tools.bench.harness import (
+    Effort,
+    Latency,
+    Ratio,
+    Row,
+    interleave,
+    latency_row,
+    quantile,
+    ratio,
+)
 from tools.bench.sync import CAMERA, LIDAR, NEAREST, TRIGGER, by_arrival, gap_row, play
 
 app = Typer()
@@ -119,3 +130,11 @@ def test_every_trigger_that_is_followed_by_frames_gets_its_set() -> None:
     stamps = [message.stamp for stream, message in events if not stream]
     assert [scan.stamp for scan, _ in sets] == stamps[: len(sets)]
     assert len(sets) >= len(stamps) - 1
+
+
+def test_a_run_that_ended_early_is_no_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A signal ends a run without a failure, and its rates look right.
+    short = RunResult({"wall_s": 31.0}, failures=())
+    monkeypatch.setattr(emulated, "run_graph", lambda *_, **__: short)
+    with pytest.raises(RuntimeError, match=r"ended after 31\.0 of 60 s"):
+        emulated.measure(Effort(seconds=60))

@@ -34,7 +34,10 @@ def measure(effort: Effort) -> list[Row]:
     result = run_graph(graph, catalog, duration_s=seconds)
     if result.failures:
         raise RuntimeError("; ".join(result.failures))
-    return rows(result.report, agreeing, seconds)
+    ran_s = result.report["wall_s"]
+    if ran_s < seconds:  # a signal ends a run early and well, with rates that look right
+        raise RuntimeError(f"the run ended after {ran_s} of {seconds} s; its figures do not count")
+    return rows(result.report, agreeing)
 
 
 def watched(graph: Graph) -> tuple[Graph, Counter[bool]]:
@@ -58,7 +61,7 @@ def watched(graph: Graph) -> tuple[Graph, Counter[bool]]:
     return replace(graph, stages=stages), agreeing
 
 
-def rows(report: Mapping[str, Any], agreeing: Counter[bool], seconds: float) -> list[Row]:
+def rows(report: Mapping[str, Any], agreeing: Counter[bool]) -> list[Row]:
     """The rows of a report."""
     rates = {name: report["outputs"][f"{name}/out"]["rate_hz"] or 0.0 for name in NETWORKS}
     image, cloud = (report["outputs"][f"{name}/out"] for name in ("fuse_image", "fuse_cloud"))
@@ -70,7 +73,7 @@ def rows(report: Mapping[str, Any], agreeing: Counter[bool], seconds: float) -> 
         name: output["age_from_stamp_ms"]
         for name, output in (("image", image), ("cloud", cloud), ("map", voxels))
     }
-    graph = f"the paper's graph on emulated devices, {seconds:g} s"
+    graph = f"the paper's graph on emulated devices, {report['wall_s']:.0f} s"
     balanced = "balanced" if report["ledger_balanced"] else "NOT balanced"
     return [
         Row(
@@ -80,7 +83,7 @@ def rows(report: Mapping[str, Any], agreeing: Counter[bool], seconds: float) -> 
             f"device bound: {BOUND_HZ:.2f} Hz; paper: 12.6 Hz",
             " / ".join(f"{rate / BOUND_HZ:.3f}" for rate in rates.values()),
             min(rates.values()) >= 14.1,
-            dict(rates),
+            {**rates, "wall_s": report["wall_s"]},
         ),
         Row(
             "segmentation and detection of the same frame",
