@@ -3,19 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Protocol
-
-
-class Clock(Protocol):
-    """What a driver asks the time of."""
-
-    def now(self) -> int:
-        """The graph's time, ns."""
-        ...
-
-    def seconds_until(self, instant: int) -> float:
-        """Real seconds from now until the graph's time reaches `instant`; <= 0 when it is past."""
-        ...
 
 
 class ScaledClock:
@@ -44,22 +31,14 @@ class ScaledClock:
         return (instant - self.now()) / (1e9 * self._speed)
 
 
-def wall_clock() -> ScaledClock:
-    """Unix time in ns, monotonic from the call on: a step of the system clock moves nothing."""
-    return ScaledClock(time.time_ns())
-
-
 class ManualClock:
-    """Time that stands still until it is told to move: for tests, replay and planning."""
+    """Time that stands still until it is told to move: offline, in tests, when planning."""
 
     def __init__(self, now: int = 0) -> None:
         self._now = now
 
     def now(self) -> int:
         return self._now
-
-    def seconds_until(self, instant: int) -> float:
-        return (instant - self._now) / 1e9
 
     def advance_to(self, instant: int) -> None:
         """Move to `instant`; raises ValueError if that lies in the past."""

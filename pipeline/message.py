@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 T = TypeVar("T", covariant=True)
@@ -54,10 +54,6 @@ class Message(Generic[T]):
         begin = stamp if begin is None else begin
         end = stamp if end is None else end
         return cls(payload, stamp, begin, end, end if received is None else received)
-
-    def with_payload(self, payload: T) -> Message[T]:  # type: ignore[misc]
-        """The same message with another payload."""
-        return replace(self, payload=payload)
 
 
 #: What an input with ``sync: span`` receives: the messages around every instant, by stamp.

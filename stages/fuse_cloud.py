@@ -15,7 +15,6 @@ from pipeline.errors import StageError
 from pipeline.message import Message, Span
 from pipeline.stage import Stage
 from stages.frames import View, look, map_from_sensor, mounted, without_hidden
-from stages.kernels.cluster import points_in_box
 from stages.kernels.compiled import as_input, locked
 from stages.kernels.foreground import (
     Claim,
@@ -23,6 +22,7 @@ from stages.kernels.foreground import (
     cluster,
     cluster_organized,
     near_depth,
+    points_in_box,
     reach_m,
     seed,
 )

@@ -19,14 +19,13 @@ from stages.kernels.horizon import (
     find,
     fold,
     fold_positions,
-    index_keys,
     insert,
     merge_scan,
     push_entries,
     read_window,
     voxel_keys,
 )
-from stages.kernels.voxels import unpack
+from stages.kernels.voxels import index_keys, unpack
 from stages.types import CHANNELS, Cloud, SemanticVoxels
 
 INITIAL_VOXELS = 1 << 16

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
+from pipeline.clock import ManualClock
 from pipeline.drivers.executor import Worker
 from pipeline.drivers.sealing import seal
 from pipeline.drivers.statistics import OnFailure, Statistics
@@ -42,7 +43,7 @@ class OfflineDriver:
         self._statistics = statistics
         self._on_failure = on_failure
         self._order = {stage.name: i for i, stage in enumerate(topology.stages)}
-        self._now = 0
+        self._clock = ManualClock()
         self._stopped = False
 
     def stop(self) -> None:
@@ -54,7 +55,7 @@ class OfflineDriver:
         with ThreadPoolExecutor(self._topology.workers, "offline") as pool:
             self._pool = pool
             self._pull_all(duration_s, tick)
-            self._work_off(self._scheduler.stop(self._now))
+            self._work_off(self._scheduler.stop(self._clock.now()))
 
     def _pull_all(self, duration_s: float | None, tick: Callable[[], None]) -> None:
         heads: dict[str, Message[Any]] = {}
@@ -68,8 +69,8 @@ class OfflineDriver:
                 end = end if end is not None else message.stamp + int(duration_s * 1e9)
                 if message.stamp >= end:
                     return
-            self._now = max(self._now, message.received)
-            self._work_off(self._scheduler.publish(Port(name), message, self._now))
+            self._clock.advance_to(max(self._clock.now(), message.received))
+            self._work_off(self._scheduler.publish(Port(name), message, self._clock.now()))
             self._advance(name, heads)
             tick()
 
@@ -87,7 +88,7 @@ class OfflineDriver:
             heads[name] = message
             return
         heads.pop(name, None)
-        self._work_off(self._scheduler.source_ended(name, self._now))
+        self._work_off(self._scheduler.source_ended(name, self._clock.now()))
 
     def _work_off(self, starts: list[Start]) -> None:
         """Execute everything that these steps start, until the scheduler is quiescent."""
@@ -106,9 +107,9 @@ class OfflineDriver:
             before = time.thread_time_ns()
             if failure is not None:
                 self._on_failure(start.run.stage, *failure, start.run.inputs.trigger.stamp)
-                starts = self._scheduler.step_failed(start.run, self._now)
+                starts = self._scheduler.step_failed(start.run, self._clock.now())
             else:
-                starts = self._scheduler.step_done(start.run, self._now, outputs)
+                starts = self._scheduler.step_done(start.run, self._clock.now(), outputs)
             self._statistics.scheduler_ns += time.thread_time_ns() - before
 
     def _submit(self, start: Start) -> Future[_Done]:

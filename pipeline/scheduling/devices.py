@@ -67,7 +67,3 @@ class Device:
         if self.inferring is None:
             return now
         return max(now, self._infer_since + self._medians.get(self.inferring.stage, 0))
-
-    def busy_until(self, now: int) -> int:
-        """Time that the device was inferring up to `now`, ns."""
-        return self.busy_ns + (now - self._infer_since if self.inferring else 0)

@@ -93,7 +93,6 @@ class StageState:
     )
 
     queue: TriggerQueue
-    trigger_edge: Edge
 
     def __init__(self, index: int, node: StageNode) -> None:
         self.index = index

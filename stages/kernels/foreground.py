@@ -21,6 +21,19 @@ from stages.kernels.probability import add_detection
 SPREAD = 1.5
 
 
+@compiled
+def points_in_box(pixel: NDArray[np.float32], box: NDArray[np.float32]) -> Any:
+    """Rows (j,) int64 of `pixel` (m, 2) u v inside the box x0 y0 x1 y1, pixels, edges included."""
+    rows = np.empty(len(pixel), dtype=np.int64)
+    count = 0
+    for i in range(len(pixel)):
+        u, v = pixel[i, 0], pixel[i, 1]
+        if u >= box[0] and u <= box[2] and v >= box[1] and v <= box[3]:
+            rows[count] = i
+            count += 1
+    return rows[:count].copy()
+
+
 def seed(distance: NDArray[np.float32]) -> int:
     """The row of the point at the 25 % quantile of `distance` (j,) m, by nearest rank.
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.kernels.compiled import compiled
-from stages.kernels.voxels import FLOOR, LOG_LEAST, REACH
+from stages.kernels.voxels import FLOOR, LOG_LEAST, REACH, spread
 
 ENTRY = 20
 UNITS = 1024.0  #: per nat, and per edge of a voxel
@@ -59,14 +59,6 @@ def voxel_keys(
 
 
 @compiled
-def _hash(key: Any) -> Any:
-    """Fibonacci hashing with a fold: enough for keys that differ in their low bits."""
-    h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    h ^= h >> np.uint64(32)
-    return h * np.uint64(0xD6E8FEB86659FD93) >> np.uint64(20)
-
-
-@compiled
 def merge_scan(
     keys: NDArray[np.int64],
     inside: NDArray[np.float32],
@@ -100,7 +92,7 @@ def merge_scan(
         if key < 0:
             continue
         if key != key_before:
-            place = _hash(key) & mask
+            place = spread(key) & mask
             v = table[place] - np.int32(1)
             while v >= 0 and voxels[v] != key:
                 place = (place + np.uint64(1)) & mask
@@ -163,11 +155,11 @@ def find(voxels: NDArray[np.int64], table: NDArray[np.int32], keys: NDArray[np.i
     slots = np.empty(m, dtype=np.int32)
     missing = 0
     for i in range(m):
-        slots[i] = table[_hash(voxels[i]) & mask] - np.int32(1)
+        slots[i] = table[spread(voxels[i]) & mask] - np.int32(1)
     for i in range(m):
         slot = slots[i]
         if slot >= 0 and keys[np.uint64(slot)] != voxels[i]:
-            place = _hash(voxels[i]) & mask
+            place = spread(voxels[i]) & mask
             while slot >= 0 and keys[np.uint64(slot)] != voxels[i]:
                 place = (place + np.uint64(1)) & mask
                 slot = table[place] - np.int32(1)
@@ -191,7 +183,7 @@ def insert(
     mask = np.uint64(len(table) - 1)
     for i in range(len(voxels)):
         if slots[i] < 0:
-            place = _hash(voxels[i]) & mask
+            place = spread(voxels[i]) & mask
             while table[place] != 0:
                 place = (place + np.uint64(1)) & mask
             keys[used] = voxels[i]
@@ -199,17 +191,6 @@ def insert(
             used += 1
             table[place] = used
     return used
-
-
-@compiled
-def index_keys(keys: NDArray[np.int64], used: int, table: NDArray[np.int32]) -> None:
-    """Fill an all-zero `table` with the slots of the first `used` keys."""
-    mask = np.uint64(len(table) - 1)
-    for slot in range(used):
-        place = _hash(keys[slot]) & mask
-        while table[place] != 0:
-            place = (place + np.uint64(1)) & mask
-        table[place] = slot + 1
 
 
 @compiled

@@ -19,7 +19,6 @@ from stages.kernels.probability import LEAST
 #: The clean-up after the network looks at 5 x 5 cells around a point's own and takes the five
 #: nearest in range; what lies further than the cutoff says nothing of the point.
 WINDOW = 5
-NEIGHBORS = 5
 CUTOFF_M = 1.0
 
 

@@ -8,7 +8,7 @@ import pytest
 from pipeline.errors import DataError, StageError
 from pipeline.message import Message
 from stages.fuse_cloud import FuseCloud
-from stages.kernels.cluster import points_in_box
+from stages.kernels.foreground import points_in_box
 from stages.kernels.geometry import deskew
 from stages.kernels.probability import accumulate, add_detection, bound_rows, softmax
 from stages.kernels.projection import project

@@ -15,6 +15,7 @@ from pipeline.errors import DataError
 from stages import voxel_map
 from stages.kernels.map_query import select
 from stages.kernels.probability import softmax
+from stages.kernels.voxels import FLOOR, REACH
 from stages.types import Cloud, SemanticVoxels
 from stages.voxel_map import VoxelMap
 
@@ -68,6 +69,54 @@ def test_the_infinite_map_is_eq_8_to_17() -> None:
     assert list(map(tuple, voxels.indices.tolist())) == list(expected)
     found = softmax(voxels.log_scores, C)
     assert np.abs(found - np.exp(list(expected.values()))).max() < 1e-5
+
+
+def test_voxels_follow_their_first_hit_with_counts_and_mean_positions() -> None:
+    seen: dict[tuple[int, ...], list[np.ndarray]] = {}
+    for number in range(6):
+        payload = cloud(number)
+        points = payload.points.astype(np.float64) + pose(number)[:3, 3]
+        for position in points[payload.evidence]:
+            seen.setdefault(tuple(np.floor(position / 0.25).astype(int).tolist()), []).append(
+                position
+            )
+    voxels = built(range(6)).snapshot()
+    assert [tuple(index) for index in voxels.indices.tolist()] == list(seen)
+    assert voxels.counts.tolist() == [len(hits) for hits in seen.values()]
+    assert voxels.log_scores[:, :C].max(axis=1).tolist() == [0.0] * len(seen)
+    means = np.array([np.mean(hits, axis=0) for hits in seen.values()])
+    assert np.abs(voxels.positions - means).max() < 1e-6
+
+
+def test_a_class_that_lost_for_long_can_come_back() -> None:
+    points = np.zeros((1_000, 3), np.float32)
+    car, road = np.zeros((1_000, 16), np.float32), np.zeros((1_000, 16), np.float32)
+    car[:, 13], road[:, 3] = 3.0, 3.0
+    said = np.ones(1_000, bool)
+    voxel_map = VoxelMap(voxel_m=0.25, classes=C)
+    voxel_map.integrate(Cloud(points, car, said, None, ""), np.eye(4), 0)
+    assert voxel_map.snapshot().log_scores[0, 3] == FLOOR
+    voxel_map.integrate(Cloud(points[:21], road[:21], said[:21], None, ""), np.eye(4), 1)
+    assert voxel_map.snapshot().log_scores[0, :C].argmax() == 3
+
+
+def test_points_without_evidence_leave_no_trace() -> None:
+    payload = cloud(0)
+    points = payload.points.copy()
+    points[::2] = np.nan
+    odd = np.arange(len(points)) % 2 == 1
+    some, only = (VoxelMap(voxel_m=0.25, classes=C) for _ in range(2))
+    some.integrate(Cloud(points, payload.log_scores, odd, None, ""), pose(1), 0)
+    only.integrate(Cloud(points[odd], payload.log_scores[odd], odd[odd], None, ""), pose(1), 0)
+    assert by_voxel(some.snapshot()) == by_voxel(only.snapshot())
+
+
+def test_points_out_of_reach_are_counted() -> None:
+    far = np.array([[0.25 * REACH + 1, 0, 0], [0, 0, 0], [0, -np.inf, 0], [0, 0, np.nan]])
+    voxel_map = VoxelMap(voxel_m=0.25, classes=C)
+    nothing, said = np.zeros((4, 16), np.float32), np.ones(4, bool)
+    voxel_map.integrate(Cloud(far.astype(np.float32), nothing, said, None, ""), np.eye(4), 0)
+    assert (voxel_map.used, voxel_map.beyond) == (1, 3)
 
 
 def test_the_window_map_is_the_map_of_the_last_scans_alone() -> None:

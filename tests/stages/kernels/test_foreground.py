@@ -13,6 +13,7 @@ from stages.kernels.foreground import (
     cluster,
     cluster_organized,
     near_depth,
+    points_in_box,
     reach_m,
     seed,
 )
@@ -57,6 +58,18 @@ def window(points: np.ndarray, azimuth: float, elevation: float) -> np.ndarray:
     a = np.arctan2(points[:, 1], points[:, 0])
     e = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     return np.flatnonzero((abs(a) < azimuth) & (abs(e) < elevation))
+
+
+def test_points_in_a_box_include_its_edges() -> None:
+    pixel = np.array([[0, 0], [10, 5], [20, 10], [20.1, 10], [15, 4.9]], np.float32)
+    assert points_in_box(pixel, np.array([10, 5, 20, 10], np.float32)).tolist() == [1, 2]
+
+
+def test_what_is_near_in_depth_lies_around_the_25_percent_quantile_not_the_wall_behind() -> None:
+    person, wall, stray = [8.0, 8.1, 8.2, 8.3], [15.0] * 6, [3.0]
+    distance = np.array(wall + person + stray, np.float32)
+    near = near_depth(distance, float(distance[seed(distance)]), 1.0)
+    assert near.tolist() == [False] * 6 + [True] * 4 + [False]
 
 
 def test_tau_is_1_5_times_the_beams_distance_at_the_seed() -> None:

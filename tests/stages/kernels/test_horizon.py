@@ -14,7 +14,6 @@ from stages.kernels.horizon import (
     find,
     fold,
     fold_positions,
-    index_keys,
     insert,
     merge_scan,
     push_entries,
@@ -22,7 +21,7 @@ from stages.kernels.horizon import (
     voxel_keys,
 )
 from stages.kernels.probability import softmax
-from stages.kernels.voxels import FLOOR, REACH, unpack
+from stages.kernels.voxels import FLOOR, REACH, index_keys, unpack
 
 C = 15
 
