@@ -184,7 +184,6 @@ class LiveDriver:
             with self._changed:
                 self._open_sources.discard(name)
                 starts = self._hand_out(self._scheduler.source_ended(name, self._clock.now()), None)
-                self._statistics.step(name, Step.PROCESS, time.thread_time_ns())
                 self._changed.notify_all()
             self._run_here(starts, None)
         except BaseException as error:
@@ -194,6 +193,7 @@ class LiveDriver:
         """Publish each message when it arrives, until the source ends, fails, or is stopped."""
         port = Port(name)
         while True:
+            before = time.thread_time_ns()
             try:
                 message = next(messages, None)
             except Exception as error:
@@ -204,10 +204,11 @@ class LiveDriver:
             if message is None:
                 return
             seal(message.payload)
+            cpu_ns = time.thread_time_ns() - before
             while (wait := self._clock.seconds_until(message.received)) > 0:
                 if self._stop.wait(wait):
                     return
-            if not self._publish(name, port, message):
+            if not self._publish(name, port, message, cpu_ns):
                 return
 
     def _crashed(self, error: BaseException) -> None:
@@ -215,7 +216,7 @@ class LiveDriver:
         self._crash = self._crash or error
         self._stop.set()
 
-    def _publish(self, name: str, port: Port, message: Message[Any]) -> bool:
+    def _publish(self, name: str, port: Port, message: Message[Any], cpu_ns: int) -> bool:
         with self._lock:
             while not self._scheduler.ready(name):
                 if self._stop.is_set():
@@ -225,6 +226,7 @@ class LiveDriver:
                 self._blocked_sources -= 1
             if self._stop.is_set():
                 return False
+            self._statistics.step(name, Step.PROCESS, cpu_ns)  # of making the message alone
             starts = self._hand_out(self._step("publish", port, message, self._clock.now()), None)
         self._run_here(starts, None)
         return True

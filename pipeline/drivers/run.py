@@ -114,7 +114,7 @@ def run_graph(
             )
         started = time.monotonic_ns()
         cpu_started = time.process_time_ns()
-        with _stopped_by_signals(driver.stop, scheduler):
+        with _stopped_by_signals(driver.stop):
             driver.run(duration_s, tick)
         wall_ns = time.monotonic_ns() - started
         cpu_ns = time.process_time_ns() - cpu_started
@@ -231,7 +231,7 @@ def _snapshot(graph: Graph, statistics: Statistics, elapsed_ns: int) -> Snapshot
 
 
 @contextlib.contextmanager
-def _stopped_by_signals(stop: Callable[[], None], scheduler: Scheduler) -> Iterator[None]:
+def _stopped_by_signals(stop: Callable[[], None]) -> Iterator[None]:
     """Ctrl-C and SIGTERM ask the run to end; a second one raises KeyboardInterrupt."""
     if threading.current_thread() is not threading.main_thread():
         yield

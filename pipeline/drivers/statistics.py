@@ -11,7 +11,7 @@ from typing import Any
 
 from pipeline.errors import OverflightError
 from pipeline.message import Message
-from pipeline.scheduling.events import InputSet, Observer, Reason, Refusal, Run, Step
+from pipeline.scheduling.events import Observer, Reason, Refusal, Run, Step
 from pipeline.scheduling.topology import Port
 
 #: Values kept for quantiles. At 30 Hz that is half an hour; later ones replace random earlier ones.
@@ -143,9 +143,6 @@ class Statistics(Observer):
         self, source: Port, stage: str, name: str, message: Message[Any], reason: Reason, now: int
     ) -> None:
         self.drops[reason] += 1
-
-    def set_formed(self, stage: str, inputs: InputSet, now: int) -> None:
-        pass
 
     def run_ended(self, run: Run, how: str, now: int) -> None:
         statistics = self.stage(run.stage)
