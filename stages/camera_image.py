@@ -10,7 +10,9 @@ from stages.types import Image
 
 
 def eight_bit(image: Image) -> NDArray[np.uint8]:
-    """The pixels of an 8-bit image, uncopied. Raises StageError for a 16-bit one."""
+    """The pixels of an 8-bit image, uncopied. Raises StageError for a 16-bit or empty one."""
+    if not image.data.size:
+        raise StageError(f"camera '{image.camera}' gives an image without pixels")
     if image.data.dtype != np.uint8:
         raise StageError(
             f"camera '{image.camera}' gives {image.data.dtype} images, networks take uint8; "
