@@ -19,6 +19,7 @@ RUNTIMES = {
     "mcap",
     "onnxruntime",
     "openvino",
+    "ouster",
     "tflite_runtime",
     "torch",
     "zenoh",

@@ -78,13 +78,13 @@ def test_points_take_what_the_network_says_of_their_side(
 
 def test_the_image_is_the_same_organized_and_projected() -> None:
     message = scan(organized(64, 512), (64, 512))
-    image = stage().prepare(message)["range_image"].array
-    np.testing.assert_array_equal(
-        image, stage(organized=False).prepare(message)["range_image"].array
-    )
+    network = {"sensor": "semantickitti_on_os0_128"}
+    image = stage(**network).prepare(message)["range_image"].array
+    projected = stage(organized=False, **network).prepare(message)["range_image"].array
+    np.testing.assert_array_equal(image, projected)
     r = np.linalg.norm(message.payload.points.astype(np.float64), axis=1).reshape(64, 512)
     np.testing.assert_allclose(image[0, ..., 0], (r - 12.12) / 12.32, atol=1e-5)
-    np.testing.assert_allclose(image[0, ..., 4], (0.5 - 0.21) / 0.16, atol=1e-5)
+    np.testing.assert_allclose(image[0, ..., 4], (0.5 - 0.06162) / 0.07131, atol=1e-5)
 
 
 def test_a_network_without_remission_gets_four_channels() -> None:
@@ -138,23 +138,13 @@ def test_a_wrong_model_is_said() -> None:
         stage().finish(left_and_right(20), scan(organized(), (128, 1024)))
 
 
-def test_wrong_options_and_files_are_said(tmp_path: Path) -> None:
+def test_wrong_options_are_said() -> None:
     with pytest.raises(ValueError, match="temperature must be above 0"):
         SegmentScan(temperature=0)
     with pytest.raises(ValueError, match="max_range_m must be above 0"):
         SegmentScan(max_range_m=-1)
-    with pytest.raises(DataError, match=r"no sensor 'os9' \(known: semantickitti, os0_128\)"):
+    with pytest.raises(DataError, match="no sensor 'os9'"):
         stage(sensor="os9")
-    file = tmp_path / "own.yaml"
-    file.write_text("own: {elevation_deg: [3, -25], mean: [0, 0, 0, 0, 0], std: [1, 1, 1, 1, 1]}")
-    with pytest.raises(DataError, match=r"elevation_deg is \[lowest, highest\]"):
-        stage(sensor="own", statistics=file)
-    file.write_text("own: {elevation_deg: [-25, 3], mean: [0, 0], std: [1, 1]}")
-    with pytest.raises(DataError, match="take 5 numbers"):
-        stage(sensor="own", statistics=file)
-    file.write_text("own: 3")
-    with pytest.raises(DataError, match="no scan statistics"):
-        stage(sensor="own", statistics=file)
 
 
 def test_a_real_kitti_scan_fills_its_range_image(shared: Path) -> None:
