@@ -12,6 +12,7 @@ from pipeline.message import Message
 from pipeline.stage import Stage
 from stages.kernels.compiled import as_input
 from stages.kernels.probability import read_out
+from stages.ply_file import VOXEL_COMMENT
 from stages.sinks.last_map import LastMap
 from stages.sinks.whole_file import whole_file
 from stages.taxonomy import Taxonomy, load_taxonomy
@@ -39,7 +40,7 @@ class WritePly(LastMap):
 
     def write(self, path: Path, voxels: SemanticVoxels) -> None:
         vertices = vertices_of(voxels.positions, voxels.log_scores, load_taxonomy())
-        write_ply(path, vertices, "map frame")
+        write_ply(path, vertices, "map frame, meters", f"{VOXEL_COMMENT} {voxels.voxel_m:g}")
 
 
 class WriteCloudPly(Stage):
@@ -58,7 +59,8 @@ class WriteCloudPly(Stage):
             kept = kept | has_return
         said = np.where(payload.evidence[kept, None], payload.log_scores[kept], np.float32(0))
         vertices = vertices_of(payload.points[kept], said, load_taxonomy())
-        write_ply(self._folder / f"{cloud.stamp:020d}.ply", vertices, f"frame of {payload.sensor}")
+        path = self._folder / f"{cloud.stamp:020d}.ply"
+        write_ply(path, vertices, f"frame of {payload.sensor}, meters")
 
 
 def vertices_of(
@@ -76,9 +78,9 @@ def vertices_of(
     return vertices
 
 
-def write_ply(path: Path, vertices: NDArray[np.void], comment: str) -> None:
+def write_ply(path: Path, vertices: NDArray[np.void], *comments: str) -> None:
     """Write `VERTEX` rows as binary little-endian PLY, whole or not at all. Raises DataError."""
-    lines = ["ply", "format binary_little_endian 1.0", f"comment {comment}, meters"]
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
     lines.append(f"element vertex {len(vertices)}")
     for name in VERTEX.names or ():
         lines.append(f"property {PLY_TYPES[VERTEX[name].str]} {name}")
