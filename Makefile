@@ -1,12 +1,13 @@
 # Every target is enough on its own: from a fresh clone with only Python (>= 3.11) and make.
 PYTHON ?= python3
 BIN := .venv/bin
+TFLITE := .venv/tflite-runtime
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-fast check bench clean
+.PHONY: help venv demo test test-fast check check-tflite-runtime bench clean
 
 help:  ## Say what each target does
-	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
 
 venv: .venv/installed  ## Make the virtual environment .venv with everything in it
 
@@ -30,6 +31,21 @@ check: venv  ## Check formatting, lint, types and tests; changes no file (what C
 	$(BIN)/ruff check
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
+	$(MAKE) --no-print-directory check-tflite-runtime
+
+# What its wheels need, Python 3.11 and numpy below 2, the rest of the project does not want: so it
+# gets an environment of its own.
+check-tflite-runtime: venv  ## Test the accelerators once more on tflite-runtime (Python 3.11 only)
+	@if $(BIN)/python -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))'; then \
+		$(MAKE) --no-print-directory $(TFLITE)/installed && \
+		$(TFLITE)/bin/python -m pytest tests/accelerators; \
+	else echo "check-tflite-runtime: skipped, tflite-runtime has wheels up to Python 3.11 and this is another"; fi
+
+$(TFLITE)/installed: pyproject.toml
+	$(BIN)/python -m venv $(TFLITE)
+	$(TFLITE)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[tflite-runtime]' hypothesis pytest pytest-timeout
+	@$(TFLITE)/bin/python -c 'import sys; from accelerators.litert import TfliteCpu; sys.exit(TfliteCpu(tflite_backend="tflite_runtime").probe().reason or 0)'
+	@touch $@
 
 bench: venv  ## Measure the figures of BENCHMARK.md on this machine
 	$(BIN)/python -m tools.bench

@@ -1,15 +1,15 @@
-"""ONNX Runtime on the CPU."""
+"""ONNX Runtime on the CPU, and on what else its build can use."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import DeviceError, ModelError
 from pipeline.model import Model, Native, Probe, TensorSpec
 
-_PROVIDER = "CPUExecutionProvider"
+_SUFFIX = "ExecutionProvider"
 _DTYPES = {
     "tensor(float)": "float32",
     "tensor(float16)": "float16",
@@ -22,39 +22,62 @@ _DTYPES = {
 
 
 class Onnx:
-    """Runs .onnx files on the CPU with `threads` threads per model."""
+    """Runs .onnx files with `threads` threads per model, on the CPU or what `provider` names: CUDA,
+    Tensorrt, OpenVINO ... of a runtime that was built with it.
+
+    A model of which the provider cannot run every node is refused: ONNX Runtime would give the rest
+    to the CPU, or all of it, with no more than a warning.
+    """
 
     kinds: tuple[str, ...] = ("onnx",)
 
-    def __init__(self, *, threads: int = 1) -> None:
+    def __init__(self, *, threads: int = 1, provider: str = "CPU") -> None:
         if threads < 1:
             raise ValueError(f"threads must be at least 1, not {threads}")
         self.threads = threads
+        self.provider = provider
+
+    @classmethod
+    def candidates(cls) -> Sequence[Mapping[str, Any]]:
+        try:
+            found = _providers(_runtime())
+        except DeviceError:
+            found = ["CPU"]
+        return [{"provider": name} for name in found if name != "Azure"]  # that one is no device
 
     def probe(self) -> Probe:
         try:
             runtime = _runtime()
         except DeviceError as error:
             return Probe(False, "", "", str(error))
-        return Probe(True, "CPU", f"onnxruntime {runtime.__version__}")
+        found, version = _providers(runtime), f"onnxruntime {runtime.__version__}"
+        if self.provider in found:
+            return Probe(True, self.provider, version)
+        reason = f"this onnxruntime has no provider {self.provider}, only {', '.join(found)}"
+        return Probe(False, "", version, f"{reason}; install its build for {self.provider}")
 
     def load(self, path: str, variant: Mapping[str, Any]) -> Model:
         runtime = _runtime()
+        if not (probe := self.probe()).available:
+            raise DeviceError(f"{path}: {probe.reason}")
         if not Path(path).is_file():
             raise ModelError(f"{path}: no such file")
         options = runtime.SessionOptions()
         options.intra_op_num_threads = self.threads
         options.inter_op_num_threads = 1
-        options.log_severity_level = 3
+        options.log_severity_level = 4  # what matters is raised
         # A spinning pool waits for the next frame at full load: at 10 Hz with two threads 60
         # instead of 30 CPU ms per inference.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        if self.provider != "CPU":
+            options.add_session_config_entry("session.disable_cpu_ep_fallback", "1")
+        asked = self.provider + _SUFFIX
         try:
-            session = runtime.InferenceSession(path, options, providers=[_PROVIDER])
+            session = runtime.InferenceSession(path, options, providers=[asked])
         except Exception as error:  # its exceptions have no common base but Exception
-            raise ModelError(f"{path}: {str(error).strip()}") from error
-        if session.get_providers() != [_PROVIDER]:
-            raise DeviceError(f"{path}: asked for {_PROVIDER}, got {session.get_providers()}")
+            raise ModelError(f"{path} on {self.provider}: {str(error).strip()}") from error
+        if session.get_providers()[0] != asked:
+            raise DeviceError(f"{path}: asked for {asked}, got {session.get_providers()}")
         return OnnxModel(session, path)
 
     def close(self) -> None:
@@ -86,6 +109,10 @@ def _specs(nodes: Any) -> Mapping[str, TensorSpec]:
         )
         for node in nodes
     }
+
+
+def _providers(runtime: Any) -> list[str]:
+    return [name.removesuffix(_SUFFIX) for name in runtime.get_available_providers()]
 
 
 def _runtime() -> Any:

@@ -33,10 +33,42 @@ class InputForm:
 
 @dataclass(frozen=True, slots=True)
 class OutputForm:
-    """Where a canonical output is in the file."""
+    """Where a canonical output is in the file, and its quantization where the file has none."""
 
     name: str
     nchw: bool = False
+    scale: float = 1.0
+    zero_point: int = 0
+
+
+#: Element types of a file's input that an image can be converted to.
+_INPUT_DTYPES = ("uint8", "int8", "uint16", "int16", "float16", "float32", "float64")
+
+
+def file_input(
+    spec: ModelSpec, form: InputForm, inputs: Mapping[str, TensorSpec]
+) -> tuple[str, TensorSpec]:
+    """The one input of a file; raises ModelError where an image of `spec` does not fit in."""
+    if len(inputs) != 1:
+        raise ModelError(
+            f"model '{spec.name}': the file has the inputs {', '.join(inputs) or 'none'}; "
+            "it must have one, an image"
+        )
+    name, stated = next(iter(inputs.items()))
+    height, width, channels = spec.input_shape
+    wanted = (channels, height, width) if form.nchw else (height, width, channels)
+    sizes = stated.shape[1:]
+    if len(sizes) != 3 or any(a not in (-1, b) for a, b in zip(sizes, wanted, strict=True)):
+        raise ModelError(
+            f"model '{spec.name}': the file's input is {stated.shape}, the registry says "
+            f"(n, {', '.join(map(str, wanted))}); correct its 'input' or the variant's 'layout'"
+        )
+    if stated.dtype not in _INPUT_DTYPES:
+        raise ModelError(
+            f"model '{spec.name}': the file's input is {stated.dtype}; an image can be given as "
+            f"{', '.join(_INPUT_DTYPES)}"
+        )
+    return name, stated
 
 
 class BoundFile:
@@ -49,18 +81,9 @@ class BoundFile:
         self._model = model
         self._form = form
         self._outputs = outputs
-        if len(model.inputs) != 1:
-            raise ModelError(f"{spec.name}: needs a file with one input, not {list(model.inputs)}")
-        self._name, self._file = next(iter(model.inputs.items()))
-        height, width, channels = spec.input_shape
-        wanted = (channels, height, width) if form.nchw else (height, width, channels)
-        stated = self._file.shape[1:]
-        if len(stated) != 3 or any(a not in (-1, b) for a, b in zip(stated, wanted, strict=True)):
-            raise ModelError(
-                f"{spec.name}: the file's input is {self._file.shape}, "
-                f"the registry says (n, {', '.join(map(str, wanted))})"
-            )
-        self._convert = _converter(np.dtype(spec.input_dtype), channels, form, self._file)
+        self._name, self._file = file_input(spec, form, model.inputs)
+        dtype, channels = np.dtype(spec.input_dtype), spec.input_shape[2]
+        self._convert = _converter(dtype, channels, form, self._file)
 
     def encode(self, tensors: Tensors) -> Native:
         """Canonical input to the file's own dtype and layout; (n, ...) stays (n, ...)."""
@@ -98,7 +121,8 @@ class BoundFile:
             array, stated = native[form.name], self._model.outputs[form.name]
             if form.nchw:
                 array = array.transpose(0, 2, 3, 1)
-            tensors[name] = Tensor(array, stated.scale or 1.0, stated.zero_point)
+            known = stated if stated.scale else form
+            tensors[name] = Tensor(array, known.scale, known.zero_point)
         return tensors
 
     def warm_up(self) -> None:

@@ -97,10 +97,15 @@ class Probe:
     name: str  #: what the runtime calls the device; empty when it is not available
     runtime: str  #: runtime and version
     reason: str = ""  #: why it is not available, with the one thing to do about it
+    driver: str = ""  #: kernel or vendor driver and version, where the device has one
 
 
 class Accelerator(Protocol):
-    """A device of the graph file. `__init__` takes the options of its block and opens nothing."""
+    """A device of the graph file. `__init__` takes the options of its block and opens nothing.
+
+    A class whose library may crash or hang says `isolate = True`: it then runs in a process of its
+    own unless the file says otherwise.
+    """
 
     #: Variant kinds this class can run, best first: "tflite", "openvino", "onnx", "emulated" ...
     kinds: tuple[str, ...]

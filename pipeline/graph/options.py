@@ -19,6 +19,7 @@ from pipeline.graph.contract import CALIBRATION, ContractError, Option, options_
 from pipeline.graph.nodes import Node, Steps
 from pipeline.graph.report import Report
 from pipeline.graph.wording import explain, suggest
+from pipeline.model import Accelerator
 
 
 def import_name(use: str) -> Any:
@@ -86,6 +87,11 @@ def bind_options(
                     what = f"misses the option '{option.name}' ({option.type_name})"
                     report.mistake(steps, what)
             continue
+        if option.kind is Accelerator and node.value is not None:
+            device = _device(node, (*steps, option.name), report)
+            arguments[option.name] = device
+            sound = sound and device is not None
+            continue
         try:
             arguments[option.name] = _convert(option, node)
         except _WrongValue as error:
@@ -114,6 +120,34 @@ def build(
         place = (*steps, named) if named and report.has((*steps, named)) else steps
         report.mistake(place, sentence)
         return None
+
+
+def device_class(use: str) -> tuple[type[Accelerator], tuple[Option, ...]]:
+    """The accelerator that ``module:Class`` names, and its options. Raises ImportError,
+    ContractError."""
+    cls = import_name(use)
+    if not isinstance(cls, type) or not hasattr(cls, "kinds"):
+        raise ContractError(f"{use} is no accelerator: it has no 'kinds' of models it runs")
+    return cls, options_of(cls)
+
+
+def _device(block: Node, steps: Steps, report: Report) -> Accelerator | None:
+    """A device within the options of another, written as in `devices`; None where it is wrong."""
+    given = dict(block.entries())
+    use = given.pop("use", None)
+    if use is None or not isinstance(use.value, str):
+        report.mistake(steps, "is a device of its own; write {use: module:Class, ...}")
+        return None
+    try:
+        cls, wanted = device_class(use.value)
+    except (ImportError, ContractError) as error:
+        report.mistake((*steps, "use"), str(error))
+        return None
+    arguments = bind_options(wanted, use.value, given, steps, report)
+    device: Accelerator | None = None
+    if arguments is not None:
+        device = build(cls, arguments, steps, report)
+    return device
 
 
 class _WrongValue(Exception):

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tiny_models import SHAPE, write_onnx, write_openvino, write_tflite
+from stub_edgetpu import stub_library
+from tiny_models import SHAPE, write_edgetpu, write_onnx, write_openvino, write_tflite
 
 from accelerators.emulated import Emulated
-from accelerators.litert import TfliteCpu
+from accelerators.litert import EdgeTpu, TfliteCpu
 from accelerators.onnx import Onnx
 from accelerators.openvino import OpenVino
 from pipeline.errors import DeviceError, ModelError
@@ -38,11 +39,22 @@ CASES = {
     "tflite_runtime": Case(
         lambda: TfliteCpu(tflite_backend="tflite_runtime"), ".tflite", write_tflite
     ),
+    "edgetpu_litert": Case(
+        lambda: EdgeTpu(library=stub_library(), tflite_backend="litert"), ".tflite", write_edgetpu
+    ),
+    "edgetpu_tflite_runtime": Case(
+        lambda: EdgeTpu(library=stub_library(), tflite_backend="tflite_runtime"),
+        ".tflite",
+        write_edgetpu,
+    ),
     "openvino_cpu": Case(OpenVino, ".xml", write_openvino),
     "openvino_gpu": Case(lambda: OpenVino(device="GPU"), ".xml", write_openvino),
     "openvino_onnx": Case(OpenVino, ".onnx", write_onnx),
     "onnx": Case(Onnx, ".onnx", write_onnx),
     "emulated": Case(lambda: Emulated(latency_ms={"tiny": 0.1}), "", None),
+    "emulated_with_real_outputs": Case(
+        lambda: Emulated(latency_ms={"tiny": 0.1}, outputs=Onnx()), ".onnx", write_onnx
+    ),
 }
 
 VARIANT: Mapping[str, Any] = {
@@ -87,6 +99,21 @@ def test_infer_computes_the_network(case: Case, model: Model) -> None:
     x = np.random.default_rng(0).normal(size=SHAPE).astype(np.float32)
     found = model.infer({next(iter(model.inputs)): x})
     np.testing.assert_allclose(found[next(iter(model.outputs))], np.maximum(x, 0), rtol=1e-6)
+
+
+@pytest.mark.parametrize("form", ["read-only", "not contiguous"])
+def test_an_input_may_be_any_array_of_its_shape(case: Case, model: Model, form: str) -> None:
+    """Payloads are shared read-only, and a stage may hand in a view."""
+    x = np.arange(18, dtype=np.float32).reshape(SHAPE) - 9
+    given = x.copy()
+    if form == "read-only":
+        given.flags.writeable = False
+    else:
+        given = given[..., ::-1].copy()[..., ::-1]
+    (name,), (out,) = model.inputs, model.outputs
+    found = model.infer({name: given})[out]
+    np.testing.assert_array_equal(found, np.maximum(x, 0) if case.computes else found)
+    np.testing.assert_array_equal(given, x)
 
 
 def test_results_belong_to_the_caller(model: Model) -> None:
@@ -153,7 +180,7 @@ def test_close_may_be_called_twice_and_before_anything_was_loaded(case: Case) ->
     device.close()
 
 
-@pytest.mark.parametrize("make", [TfliteCpu, OpenVino, Onnx])
+@pytest.mark.parametrize("make", [TfliteCpu, EdgeTpu, OpenVino, Onnx])
 def test_no_threads_is_a_bad_option(make: Callable[..., Accelerator]) -> None:
     with pytest.raises(ValueError, match="threads must be at least 1"):
         make(threads=0)

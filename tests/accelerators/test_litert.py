@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import sys
+import types
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +60,25 @@ def test_a_model_compiled_for_the_edge_tpu_is_answered_with_the_way_out(shared: 
     path = shared / "models" / "coral" / f"{DEEPLAB}_edgetpu.tflite"
     with pytest.raises(ModelError, match="compiled for the Edge TPU and cannot run on a CPU; name"):
         TfliteCpu().load(str(path), {})
+
+
+def test_tflite_runtime_under_numpy_2_is_found_out_by_building_an_interpreter(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It imports, and only its first interpreter fails, with an error that says nothing."""
+    broken = types.ModuleType("tflite_runtime.interpreter")
+
+    def interpreter(**settings: object) -> None:
+        raise SystemError("<built-in method ...> returned a result with an exception set")
+
+    broken.Interpreter = interpreter  # type: ignore[attr-defined]
+    broken.load_delegate = None  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "tflite_runtime", types.ModuleType("tflite_runtime"))
+    monkeypatch.setitem(sys.modules, "tflite_runtime.interpreter", broken)
+    probe = TfliteCpu(tflite_backend="tflite_runtime").probe()
+    assert not probe.available
+    assert "which also holds numpy below 2" in probe.reason
+    assert "ai-edge-litert" in TfliteCpu(tflite_backend="auto").probe().runtime
 
 
 def test_a_backend_that_is_not_installed_says_what_to_install() -> None:

@@ -2,6 +2,9 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +15,12 @@ from accelerators.emulated import Emulated
 from accelerators.litert import TfliteCpu
 from accelerators.onnx import Onnx
 from accelerators.openvino import OpenVino
+from accelerators.fitting import output_forms
 from accelerators.registry import Registry
+from accelerators.registry_file import OutputEntry, VariantEntry
+from accelerators.tensors import BoundFile, InputForm
 from pipeline.errors import ModelError
-from pipeline.model import Tensor
+from pipeline.model import Native, Tensor, TensorSpec
 
 ENTRY = """
 models:
@@ -67,7 +73,7 @@ def test_every_shipped_file_loads_on_every_device_of_its_kind(shared: Path) -> N
             if models.check(name, device) is None:
                 models.load(name, device)
                 loaded.append((name, type(device).__name__))
-    assert len(loaded) == 7
+    assert len(loaded) == 11
 
 
 def test_a_users_file_adds_a_model_that_loads_from_beside_it(tmp_path: Path) -> None:
@@ -92,7 +98,8 @@ def test_a_device_takes_the_variant_it_runs_best(tmp_path: Path) -> None:
         assert models.check("tiny", device) is None
     said = models.check("tiny", TfliteCpu())
     assert said == (
-        "model 'tiny' has no variant for TfliteCpu, which runs tflite; it has emulated, onnx"
+        "model 'tiny' has no variant for TfliteCpu, which runs tflite; it has emulated, onnx. "
+        "Name another device, or add such a file with 'overflight models add'"
     )
 
 
@@ -117,9 +124,14 @@ def test_a_later_file_may_only_name_a_folder(tmp_path: Path) -> None:
 def test_a_changed_file_is_refused_with_both_sums(tmp_path: Path) -> None:
     write_tflite(tmp_path / "tiny.tflite")
     models = registry(tmp_path, f"{{kind: tflite, file: tiny.tflite, sha256: {'a' * 64}}}")
-    with pytest.raises(
-        ModelError, match=rf"has sha256 [0-9a-f]{{64}}, the registry says {'a' * 64}"
-    ):
+    path = tmp_path / "tiny.tflite"
+    said = (
+        f"model 'tiny': {path} has sha256 {hashlib.sha256(path.read_bytes()).hexdigest()}, the "
+        f"registry says {'a' * 64}; fetch the file again, or enter the new sum if the change is "
+        "yours"
+    )
+    assert models.check("tiny", TfliteCpu()) == said
+    with pytest.raises(ModelError, match=re.escape(said)):
         models.load("tiny", TfliteCpu())
 
 
@@ -128,21 +140,115 @@ def test_an_unknown_model_is_answered_with_the_nearest_name() -> None:
         Registry.open().spec("segment-rbg")
 
 
+TINY = "kind: tflite, file: tiny.tflite"
+CORRECT = "correct the entry, or name the file that it describes"
+
+
 @pytest.mark.parametrize(
-    ("outputs", "said"),
+    ("variant", "said"),
     [
-        ("{y: {name: z}}", r"output 'y' is named 'z' in the registry; the file has y1"),
-        ("{y: {shape: [1, 9]}}", r"has shape \(1, 2, 3, 3\) in the file, \(1, 9\) in the registry"),
-        ("{y: {scale: 0.5}}", "has scale 0.0 in the file, 0.5 in the registry"),
+        (
+            f"{TINY}, outputs: {{y: {{name: z}}}}",
+            "output 'y' is named 'z' in the registry; the file has y1",
+        ),
+        (
+            f"{TINY}, outputs: {{y: {{shape: [1, 9]}}}}",
+            f"output 'y' has shape (1, 2, 3, 3) in the file, (1, 9) in the registry; {CORRECT}",
+        ),
+        (
+            f"{TINY}, outputs: {{y: {{dtype: uint8}}}}",
+            f"output 'y' has dtype float32 in the file, uint8 in the registry; {CORRECT}",
+        ),
+        (
+            f"{TINY}, outputs: {{y: {{scale: 0.5}}}}",
+            f"output 'y' has scale 0.0 in the file, 0.5 in the registry; {CORRECT}",
+        ),
+        (
+            f"{TINY}, layout: nchw",
+            "the file's input is (1, 2, 3, 3), the registry says (n, 3, 2, 3); correct its 'input' "
+            "or the variant's 'layout'",
+        ),
+        (
+            f"{TINY}, constants: {{x: 0}}",
+            "the file has the inputs none; it must have one, an image",
+        ),
     ],
 )
-def test_an_output_that_differs_from_the_entry_is_refused(
-    tmp_path: Path, outputs: str, said: str
+def test_a_file_that_differs_from_its_entry_is_refused_before_and_when_it_is_loaded(
+    tmp_path: Path, variant: str, said: str
 ) -> None:
     write_tflite(tmp_path / "tiny.tflite")
-    models = registry(tmp_path, f"{{kind: tflite, file: tiny.tflite, outputs: {outputs}}}")
-    with pytest.raises(ModelError, match=said):
+    models = registry(tmp_path, f"{{{variant}}}")
+    assert models.check("tiny", TfliteCpu()) == f"model 'tiny': {said}"
+    with pytest.raises(ModelError, match=re.escape(said)):
         models.load("tiny", TfliteCpu())
+
+
+def test_a_file_of_another_kind_than_its_entry_is_refused_with_its_own_kind(tmp_path: Path) -> None:
+    write_tflite(tmp_path / "tiny.tflite")
+    models = registry(tmp_path, "{kind: onnx, file: tiny.tflite}")
+    path = tmp_path / "tiny.tflite"
+    assert models.check("tiny", Onnx()) == (
+        f"model 'tiny': {path} is TensorFlow Lite and not compiled for the Edge TPU; make its kind "
+        "'tflite', or compile it with edgetpu_compiler"
+    )
+
+
+def test_a_compiled_file_under_a_cpu_is_refused_with_the_way_out(
+    tmp_path: Path, shared: Path
+) -> None:
+    file = "deeplabv3_mnv2_dm05_pascal_quant_edgetpu.tflite"
+    path = shared / "models" / "coral" / file
+    models = registry(tmp_path, f"{{kind: tflite, file: {path}}}")
+    assert models.check("tiny", TfliteCpu()) == (
+        f"model 'tiny': {path} is compiled for the Edge TPU and runs nowhere else; make its kind "
+        "'edgetpu', and name the .tflite that it was compiled from for the other devices"
+    )
+
+
+def test_a_damaged_file_is_found_before_it_is_loaded(tmp_path: Path) -> None:
+    (tmp_path / "tiny.tflite").write_bytes(b"\x1c\0\0\0TFL3")
+    said = registry(tmp_path, f"{{{TINY}}}").check("tiny", TfliteCpu())
+    assert said is not None
+    assert "tiny.tflite: cannot be read as a model" in said
+
+
+def test_an_output_whose_file_does_not_state_its_quantization_has_that_of_the_entry(
+    tmp_path: Path,
+) -> None:
+    spec = TensorSpec((1, 2, 3, 3), "uint8")
+    entry = VariantEntry(kind="onnx", outputs={"y": OutputEntry(scale=0.5, zero_point=3)})
+    model = NoComputing({"x": TensorSpec((1, 2, 3, 3), "float32")}, {"y1": spec})
+    bound = BoundFile(
+        registry(tmp_path, "{kind: onnx}").spec("tiny"),
+        model,
+        InputForm(),
+        output_forms("tiny", entry, model.outputs),
+    )
+    stored = np.full(spec.shape, 5, np.uint8)
+    (found,) = bound.decode({"y1": stored}).values()
+    np.testing.assert_array_equal(found.values(), np.ones(spec.shape))
+
+
+@dataclass
+class NoComputing:
+    """A model of these inputs and outputs."""
+
+    inputs: Mapping[str, TensorSpec]
+    outputs: Mapping[str, TensorSpec]
+
+    def infer(self, inputs: Native) -> Native:
+        raise NotImplementedError
+
+
+def test_the_variant_to_load_may_be_named(tmp_path: Path) -> None:
+    write_onnx(tmp_path / "a.onnx")
+    write_onnx(tmp_path / "b.onnx")
+    models = registry(tmp_path, "{kind: onnx, file: a.onnx}\n      - {kind: onnx, file: b.onnx}")
+    (tmp_path / "a.onnx").unlink()
+    with pytest.raises(ModelError, match=r"no file a\.onnx"):
+        models.load("tiny", Onnx())
+    models.load("tiny", Onnx(), models.entry("tiny").variants[1])
 
 
 @pytest.mark.parametrize(

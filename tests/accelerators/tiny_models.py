@@ -10,8 +10,11 @@ from pathlib import Path
 SHAPE = (1, 2, 3, 3)
 
 
-def write_tflite(path: Path, operators: int = 1) -> None:
-    """A chain of `operators` relus; tensor i + 1 is computed by operator i."""
+def write_tflite(path: Path, operators: int = 1, *, compiled: int = 0) -> None:
+    """A chain of `operators` relus; tensor i + 1 is computed by operator i.
+
+    The first `compiled` of them are what the Edge TPU compiler leaves in their place.
+    """
     import flatbuffers
     from ai_edge_litert import schema_py_generated as schema
 
@@ -20,7 +23,10 @@ def write_tflite(path: Path, operators: int = 1) -> None:
     model.buffers = [schema.BufferT()]
     relu = schema.OperatorCodeT()
     relu.builtinCode = relu.deprecatedBuiltinCode = schema.BuiltinOperator.RELU
-    model.operatorCodes = [relu]
+    edgetpu = schema.OperatorCodeT()
+    edgetpu.builtinCode = edgetpu.deprecatedBuiltinCode = schema.BuiltinOperator.CUSTOM
+    edgetpu.customCode = "edgetpu-custom-op"
+    model.operatorCodes = [relu, edgetpu] if compiled else [relu]
     graph = schema.SubGraphT()
     graph.tensors, graph.operators = [], []
     for number in range(operators + 1):
@@ -30,13 +36,19 @@ def write_tflite(path: Path, operators: int = 1) -> None:
         graph.tensors.append(tensor)
     for number in range(operators):
         operator = schema.OperatorT()
-        operator.opcodeIndex, operator.inputs, operator.outputs = 0, [number], [number + 1]
+        operator.opcodeIndex = 1 if number < compiled else 0
+        operator.inputs, operator.outputs = [number], [number + 1]
         graph.operators.append(operator)
     graph.inputs, graph.outputs = [0], [operators]
     model.subgraphs = [graph]
     builder = flatbuffers.Builder(1024)
     builder.Finish(model.Pack(builder), b"TFL3")
     path.write_bytes(bytes(builder.Output()))
+
+
+def write_edgetpu(path: Path) -> None:
+    """The network as the Edge TPU compiler would leave it, for the stub delegate."""
+    write_tflite(path, compiled=1)
 
 
 def write_openvino(path: Path) -> None:

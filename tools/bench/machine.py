@@ -14,7 +14,7 @@ from tools.versions import versions
 def describe() -> dict[str, Any]:
     """Everything that a reader needs to judge a figure."""
     return {
-        "cpu": _cpu_model(),
+        "cpu": cpu_model(),
         "cores": len(os.sched_getaffinity(0)),
         "kernel": f"{platform.system()} {platform.release()}",
         "load": round(os.getloadavg()[0], 2),  #: of the minute before the start
@@ -32,7 +32,8 @@ def sentence(machine: dict[str, Any]) -> str:
     )
 
 
-def _cpu_model() -> str:
+def cpu_model() -> str:
+    """The processor's name."""
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         key, _, value = line.partition(":")
         if key.strip() == "model name":
