@@ -1,4 +1,4 @@
-"""A model file held against its registry entry: does it fit, and how its tensors become canonical."""
+"""A model file held against its registry entry: does it fit, and how is it to be read?"""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def output_forms(
         _compare(name, canonical, entry, found[native])
         if entry.layout == "nchw" and len(found[native].shape) not in (0, 4):
             raise ModelError(
-                f"model '{name}': output '{canonical}' has shape {found[native].shape}; only one of "
-                "four dimensions can have 'layout: nchw'"
+                f"model '{name}': output '{canonical}' has shape {found[native].shape}; only four "
+                "dimensions can have 'layout: nchw'"
             )
         forms[canonical] = OutputForm(
             native, entry.layout == "nchw", entry.scale or 1.0, entry.zero_point or 0

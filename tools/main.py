@@ -16,6 +16,7 @@ from typing import Annotated
 import typer
 
 from pipeline.errors import DeviceError, GraphError, OverflightError, StageError
+from tools.models import app as models_app
 
 PACKAGES = ("pipeline", "accelerators", "stages", "graphs", "tools")
 
@@ -29,6 +30,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+app.add_typer(models_app, name="models")
 
 
 class Drawing(StrEnum):
@@ -173,6 +175,323 @@ def validate(
         raise typer.Exit(USER_MISTAKE)
 
 
+@app.command(
+    epilog="Examples: overflight evaluate out/labels --truth sequences/00 --truth-labels "
+    "semantickitti. overflight evaluate out/map.ply --truth annotated.ply --groups paper. "
+    "overflight evaluate out/map.ply (how sharp it is)."
+)
+def evaluate(
+    prediction: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PREDICTION",
+            help="A folder of label files, masks or npz, one per frame; or a map (PLY, npz, "
+            "checkpoint).",
+            show_default=False,
+        ),
+    ],
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            help="The same with true labels. A map alone is measured for sharpness.",
+            show_default=False,
+        ),
+    ] = None,
+    labels: Annotated[
+        str, typer.Option(metavar="SET", help="The label set of the prediction's ids.")
+    ] = "overflight",
+    truth_labels: Annotated[
+        str, typer.Option(metavar="SET", help="The label set of the truth's ids.")
+    ] = "overflight",
+    ignore: Annotated[
+        list[int] | None,
+        typer.Option(
+            metavar="ID", help="An id that counts as unlabeled. Repeatable.", show_default=False
+        ),
+    ] = None,
+    groups: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Judge groups of classes: paper, paper_wide, or a YAML file of them.",
+            show_default="each class",
+        ),
+    ] = None,
+    min_points: Annotated[
+        float,
+        typer.Option(
+            metavar="N",
+            help="A class enters the mean with N points, or below 1: with that share of them.",
+        ),
+    ] = 0.001,
+    rate_hz: Annotated[
+        float, typer.Option(metavar="HZ", min=0.001, help="Frames per second, to number stamps by.")
+    ] = 10.0,
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Judge apart what the cameras see: the drive with points and calibration.",
+            show_default=False,
+        ),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="A YAML file with the calibration block, where the recording has none.",
+            show_default=False,
+        ),
+    ] = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only this camera. Repeatable.", show_default="all"),
+    ] = None,
+    radius_m: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            min=0.0,
+            help="How far the voxel of an annotated point may be.",
+            show_default="a voxel",
+        ),
+    ] = None,
+    voxel_m: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            min=0.0,
+            help="The map's voxels, where the file does not say.",
+            show_default=False,
+        ),
+    ] = None,
+    png: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw the confusion matrix.", show_default=False),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Judge labels, masks or a map against the truth: IoU by class, and a map's sharpness."""
+    from stages.labeled_files import LabelSet
+    from tools.evaluate import evaluate_path
+    from tools.evaluation_frames import CameraView
+
+    ignored = tuple(ignore or ())
+    evaluate_path(
+        prediction,
+        truth,
+        labels=LabelSet.named(labels, ignored),
+        truth_labels=LabelSet.named(truth_labels, ignored),
+        groups=groups,
+        min_points=min_points,
+        rate_hz=rate_hz,
+        view=CameraView.open(recording, calibration, camera or (), rate_hz),
+        radius_m=radius_m,
+        voxel_m=voxel_m,
+        as_json=as_json,
+        png=png,
+    )
+
+
+@app.command(
+    epilog="Examples: overflight statistics drives/06. overflight statistics street.pcap --adapt "
+    "semantickitti --name os0_on_network -o scan_statistics.yaml. overflight statistics flight.osf "
+    "--set remission=signal --scans 100 --json."
+)
+def statistics(
+    recording: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDING",
+            help="A drive of the KITTI family (a folder) or an Ouster file (.pcap, .osf, .bag).",
+            show_default=False,
+        ),
+    ],
+    source: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CLASS",
+            help="The source that reads it: module:Class with an option `path`.",
+            show_default="by the recording",
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="Set one option of the source. Repeatable.",
+            show_default=False,
+        ),
+    ] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="What the entry is called: the `sensor` of segment_scan.",
+            show_default="the recording's name",
+        ),
+    ] = None,
+    adapt: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Fit a network trained with this entry to the recording's sensor: z and remission "
+            "are the recording's, range, x and y stay the network's.",
+            show_default=False,
+        ),
+    ] = None,
+    rows: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Rows of the network's image.")
+    ] = 64,
+    columns: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Columns of the network's image.")
+    ] = 512,
+    elevation: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="LOWEST HIGHEST",
+            help="The field of view of the image in degrees.",
+            show_default="that of the first scan",
+        ),
+    ] = None,
+    scans: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="Only the first N scans.", show_default="all"),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Write the entry to a YAML file: the `statistics` of segment_scan. Its other "
+            "entries stay.",
+            show_default="only print",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure what a LiDAR network's input is normalized with; adapt a network to a sensor."""
+    from tools.statistics import statistics_of
+
+    statistics_of(
+        recording,
+        source=source,
+        settings=settings or (),
+        name=name,
+        adapt=adapt,
+        size=(rows, columns),
+        elevation_deg=elevation,
+        scans=scans,
+        output=output,
+        as_json=as_json,
+    )
+
+
+@app.command(
+    epilog="Examples: overflight compare graphs/drive.yaml --b devices.ov.precision=bf16. "
+    "overflight compare graph.yaml --a stages.segment_rgb.executor=cpu "
+    "--b stages.segment_rgb.executor=igpu --report swap.json"
+)
+def compare(
+    graph: GraphFile,
+    a: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--a",
+            metavar="KEY=VALUE",
+            help="What one side sets, as --set does. Repeatable.",
+            show_default="the file as it is",
+        ),
+    ] = None,
+    b: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--b", metavar="KEY=VALUE", help="What the other side sets.", show_default=False
+        ),
+    ] = None,
+    settings: Settings = None,
+    overlays: Overlays = None,
+    models: ModelFiles = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            min=0.0,
+            help="Compare so much of the recording. Ctrl-C stops without a result.",
+            show_default="all of it",
+        ),
+    ] = None,
+    out: Out = Path("out"),
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write agreement and cost as JSON.", show_default=False),
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", help="No progress and no tables; errors only.")
+    ] = False,
+) -> None:
+    """Run one recording through two settings of a graph: do they agree, and what does each cost?
+
+    Compares every stage that differs and all that follow; sinks write to a/ and b/ of --out.
+    """
+    from tools.compare import compare_file
+
+    failures = compare_file(
+        graph,
+        settings=settings or (),
+        a=a or (),
+        b=b or (),
+        overlays=overlays or (),
+        models=models or (),
+        duration_s=duration,
+        out=out,
+        report=report,
+        as_json=as_json,
+        quiet=quiet,
+    )
+    for failure in failures:
+        complain(failure)
+    if failures:
+        raise typer.Exit(RUN_FAILED)
+
+
+@app.command(epilog="Example: overflight doctor graphs/drive.yaml --models my_models.yaml")
+def doctor(
+    graph: GraphFile,
+    settings: Settings = None,
+    overlays: Overlays = None,
+    models: ModelFiles = None,
+    out: Out = Path("out"),
+    as_json: AsJson = False,
+) -> None:
+    """Check a graph against this machine: devices, drivers, model files. Exit code 1: something is
+    missing."""
+    from tools.doctor import doctor_file
+
+    ready = doctor_file(
+        graph,
+        settings=settings or (),
+        overlays=overlays or (),
+        models=models or (),
+        out=out,
+        as_json=as_json,
+    )
+    if not ready:
+        raise typer.Exit(RUN_FAILED)
+
+
+@app.command(epilog="Example: overflight devices --json")
+def devices(as_json: AsJson = False) -> None:
+    """List what this machine can run models on, and what to install for the rest."""
+    from tools.devices import print_devices
+
+    print_devices(as_json=as_json)
+
+
 @app.command(name="graph", epilog="Example: overflight graph graphs/drive.yaml -o drive.svg")
 def draw(
     graph: GraphFile,
@@ -233,6 +552,50 @@ def inspect(
 
     cls = find_stage(stage)
     typer.echo(stage_json(cls) if as_json else stage_text(cls))
+
+
+@app.command(
+    epilog="Examples: overflight simulate demo -o flight.mcap; overflight simulate train-rgb "
+    "--seed 101 -o city101.mcap; overflight simulate my_preset.yaml -o mine.mcap"
+)
+def simulate(
+    preset: Annotated[
+        str,
+        typer.Argument(
+            metavar="PRESET",
+            help="demo, paper, train-rgb, train-scan, train-car, tiny, or a YAML file like those "
+            "in stages/simulation.",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", metavar="FILE", help="The MCAP file to write."),
+    ] = Path("flight.mcap"),
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Another district, other people, another flight.",
+            show_default="the preset's",
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Threads that render.", show_default="one per core"),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Make it anew, and replace whatever is there.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Simulate a flight with every sensor and its ground truth; the same seed, the same flight.
+
+    A file that holds this flight already is left as it is.
+    """
+    from tools.simulate import simulate_file
+
+    simulate_file(preset, output, seed=seed, jobs=jobs, force=force, as_json=as_json)
 
 
 @app.command()

@@ -39,7 +39,7 @@ def run_file(
     if not quiet:
         print_warnings(graph.warnings)
     if report is not None:
-        _make_room_for(report)
+        make_room_for(report)
     started = time.time()
     if quiet:
         result = run_graph(graph, catalog, speed=speed, duration_s=duration_s)
@@ -67,7 +67,7 @@ def run_file(
     return result.failures
 
 
-def _make_room_for(report: Path) -> None:
+def make_room_for(report: Path) -> None:
     """Fail before the flight, not after it, where the report cannot be written."""
     try:
         report.parent.mkdir(parents=True, exist_ok=True)

@@ -12,10 +12,10 @@ import pytest
 from tiny_models import write_onnx, write_tflite
 
 from accelerators.emulated import Emulated
+from accelerators.fitting import output_forms
 from accelerators.litert import TfliteCpu
 from accelerators.onnx import Onnx
 from accelerators.openvino import OpenVino
-from accelerators.fitting import output_forms
 from accelerators.registry import Registry
 from accelerators.registry_file import OutputEntry, VariantEntry
 from accelerators.tensors import BoundFile, InputForm
