@@ -21,7 +21,6 @@ RUNTIMES = {
     "openvino",
     "ouster",
     "tflite_runtime",
-    "torch",
     "zenoh",
 }
 
@@ -76,6 +75,16 @@ def test_kernels_stand_on_numpy_numba_and_opencv_alone() -> None:
             if name.split(".")[0] in FLOORS and not name.startswith("stages.kernels")
         ]
         assert not above, f"{file.relative_to(ROOT)} imports {', '.join(above)}"
+
+
+def test_torch_is_imported_only_where_networks_are_trained() -> None:
+    outside = [
+        str(file.relative_to(ROOT))
+        for file in FILES
+        if "torch" in {name.split(".")[0] for name in imports(file)}
+        and file.relative_to(ROOT).parts[:2] != ("tools", "train")
+    ]
+    assert not outside
 
 
 def test_each_runtime_is_imported_in_exactly_one_file() -> None:
