@@ -1,117 +1,102 @@
-"""Emulated stages: the ports and the CPU time of stages whose content does not matter to a graph.
-
-They let the whole graph of the paper run without data or weights, so that scheduling, queues and
-synchronization can be watched and measured. Their results are empty or uniform, and every name says
-that they are emulated. `burn_ms` is CPU time per run, spent without the GIL as a compiled kernel
-spends it.
-"""
+"""Networks that know the emulated street, so that the stages after them have real work."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.message import Message, Span
-from pipeline.model import Tensor, Tensors
-from pipeline.stage import ModelStage, Stage
-from stages.kernels.burn import burn
-from stages.types import (
-    CHANNELS,
-    ClassScores,
-    Cloud,
-    Detections,
-    Pose,
-    Scan,
-    SemanticVoxels,
-)
+from accelerators.zeros import Zeros
+from pipeline.model import Model, Native, Probe, TensorSpec
+from stages.emulated_street import lidar_rays, look_along, read_classes
+from stages.kernels.compiled import locked
+from stages.taxonomy import load_taxonomy
+
+#: What the detectors know, by their own class ids (`class_map` in the model registry).
+DETECTED = ("vehicle", "person", "bicycle")
+SCORE = 0.9  #: of every box
+LOG_SCORE = 4.0  #: of the class that is there, all others 0: a probability of 0.8 among 15
+STEP_PX = 8  #: a detector looks at the middle of squares of this size
 
 
-def _checked(burn_ms: float) -> float:
-    if not burn_ms >= 0:
-        raise ValueError(f"burn_ms must not be negative, not {burn_ms}")
-    return burn_ms
+class StreetNetworks:
+    """What an emulated device answers: `outputs: {use: stages.emulated:StreetNetworks}`.
+
+    An image is read by its paint: `scores` (1, rows, columns, 16) hold the class in each of their
+    cells, `detections` (rows of 7, as OpenVINO's DetectionOutput) a box around each patch of a
+    class in `DETECTED`. A range image gets the classes of the street. Outputs of another name or
+    rank are zero.
+    """
+
+    kinds: tuple[str, ...] = ("emulated",)
+
+    def probe(self) -> Probe:
+        return Probe(True, "the emulated street", "what is painted there")
+
+    def load(self, path: str, variant: Mapping[str, Any]) -> Model:
+        return _Network(Zeros(variant))
+
+    def close(self) -> None:
+        """Nothing is held."""
 
 
-class EmulatedSegmentScan(ModelStage):
-    """Stands for the LiDAR segmentation: half of `burn_ms` before the network, half after it."""
+class _Network:
+    """One image in, scores or detections out."""
 
-    def __init__(self, *, burn_ms: float = 0.0) -> None:
-        self.burn_ms = _checked(burn_ms)
+    def __init__(self, zeros: Model) -> None:
+        self._zeros = zeros
+        self.inputs, self.outputs = zeros.inputs, zeros.outputs
+        self._name, image = next(iter(self.inputs.items()))
+        _, height, width, channels = image.shape
+        self._known = [
+            (name, say)
+            for name, say in (("scores", _scores), ("detections", _detections))
+            if name in self.outputs and len(self.outputs[name].shape) == 4
+        ]
+        if ("scores", _scores) in self._known:
+            _, rows, columns, _ = self.outputs["scores"].shape
+            self._rows = np.rint(np.linspace(0, height - 1, rows)).astype(np.int64)[:, None]
+            self._columns = np.rint(np.linspace(0, width - 1, columns)).astype(np.int64)
+        else:
+            self._rows = np.arange(STEP_PX // 2, height, STEP_PX)[:, None]
+            self._columns = np.arange(STEP_PX // 2, width, STEP_PX)
+        self._scan: Native = {}  #: the answer to a range image, which has no paint
+        if channels > 3:
+            self._scan = self._answer(look_along(lidar_rays(height, width), np.eye(4)).label)
 
-    def open(self) -> None:
-        spec = self.model
-        self._input = Tensor(np.zeros((1, *spec.input_shape), dtype=spec.input_dtype))
-        self._scores = _uniform(0)
+    def infer(self, inputs: Native) -> Native:
+        answer = {**self._zeros.infer(inputs), **self._scan}
+        if not self._scan:
+            paint = inputs[self._name][0, self._rows, self._columns]
+            answer |= self._answer(read_classes(paint))
+        return answer
 
-    def prepare(self, scan: Message[Scan]) -> Tensors:
-        burn(self.burn_ms / 2)
-        return {self.model.input_name: self._input}
-
-    def finish(self, outputs: Tensors, scan: Message[Scan]) -> Cloud:
-        burn(self.burn_ms / 2)
-        points = scan.payload.points
-        if len(self._scores) != len(points):
-            self._scores = _uniform(len(points))
-        evidence = np.ones(len(points), dtype=np.bool_)
-        return Cloud(points, self._scores, evidence, None, scan.payload.sensor)
-
-
-class EmulatedFuseImage(Stage):
-    """Stands for the fusion of a segmentation with RGB and thermal detections in the image."""
-
-    def __init__(self, *, burn_ms: float = 0.0) -> None:
-        self.burn_ms = _checked(burn_ms)
-
-    def process(
-        self,
-        scores: Message[ClassScores],
-        boxes: Message[Detections],
-        thermal: Message[Detections] | None,
-    ) -> ClassScores:
-        burn(self.burn_ms)
-        return scores.payload
+    def _answer(self, label: NDArray[np.uint8]) -> Native:
+        return {name: locked(say(label, self.outputs[name])) for name, say in self._known}
 
 
-class EmulatedFuseCloud(Stage):
-    """Stands for the fusion of image, detections and LiDAR in the scan's points."""
-
-    def __init__(self, *, burn_ms: float = 0.0) -> None:
-        self.burn_ms = _checked(burn_ms)
-
-    def process(
-        self,
-        cloud: Message[Cloud],
-        scores: Message[ClassScores] | None,
-        boxes: tuple[Message[Detections] | None, ...],
-        trajectory: Span[Pose],
-    ) -> Cloud:
-        burn(self.burn_ms)
-        fused = cloud.payload
-        pose = trajectory[-1].payload.map_from_base if trajectory else None
-        return Cloud(fused.points, fused.log_scores, fused.evidence, pose, fused.sensor)
-
-
-class EmulatedSemanticMap(Stage):
-    """Stands for the semantic voxel map; the map stays empty."""
-
-    def __init__(self, *, burn_ms: float = 0.0) -> None:
-        self.burn_ms = _checked(burn_ms)
-
-    def open(self) -> None:
-        self._empty = SemanticVoxels(
-            voxel_m=0.25,
-            indices=np.zeros((0, 3), dtype=np.int32),
-            positions=np.zeros((0, 3), dtype=np.float32),
-            log_scores=_uniform(0),
-            counts=np.zeros(0, dtype=np.int32),
-        )
-
-    def process(self, cloud: Message[Cloud]) -> SemanticVoxels:
-        burn(self.burn_ms)
-        return self._empty
-
-
-def _uniform(rows: int) -> NDArray[np.float32]:
-    scores = np.zeros((rows, CHANNELS), dtype=np.float32)
-    scores.flags.writeable = False
+def _scores(label: NDArray[np.uint8], output: TensorSpec) -> NDArray[Any]:
+    """`LOG_SCORE` for the label (rows, columns) of each cell."""
+    says = round(LOG_SCORE / output.scale) if output.scale else LOG_SCORE
+    scores = np.full(output.shape, output.zero_point, dtype=output.dtype)
+    np.put_along_axis(scores[0], label[..., None].astype(np.intp), says + output.zero_point, axis=2)
     return scores
+
+
+def _detections(label: NDArray[np.uint8], output: TensorSpec) -> NDArray[Any]:
+    """A row (image, class, score, x0, y0, x1, y1 as shares of the image) for each patch."""
+    rows, columns = label.shape
+    found = []
+    for number, name in enumerate(DETECTED):
+        mask = (label == load_taxonomy().id(name)).astype(np.uint8)
+        _, _, patches, _ = cv2.connectedComponentsWithStats(mask)
+        for left, top, width, height, _ in patches[1:]:
+            box = left / columns, top / rows, (left + width) / columns, (top + height) / rows
+            found.append((0, number, SCORE, *box))
+    detections = np.zeros(output.shape, dtype=output.dtype)
+    most = output.shape[-2]
+    detections[0, 0, : len(found[:most])] = np.reshape(found[:most], (-1, 7))
+    return detections

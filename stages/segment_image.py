@@ -15,7 +15,8 @@ from pipeline.model import Tensor, Tensors
 from pipeline.stage import ModelStage
 from stages.camera_image import eight_bit
 from stages.kernels.class_groups import grouped_log_scores, label_log_scores, membership
-from stages.kernels.network_input import fitted, gamma_table, in_color_order
+from stages.kernels.network_input import gamma_table, in_color_order
+from stages.score_grid import ScoreGrid
 from stages.taxonomy import load_taxonomy
 from stages.types import CHANNELS, PADDING_LOG, ClassScores, Image
 
@@ -33,6 +34,7 @@ class SegmentImage(ModelStage):
 
     Heads: `scores` (logits; without a class map the channels are ours and stay quantized, uncopied)
     and `label_map` (labels with a declared `confidence`, the rest spread evenly over the others).
+    Where their cells lie in the image is exact, for heads with `align_corners` too: `ScoreGrid`.
 
     `temperature` above 1 makes an overconfident network milder. `tiles` cuts a wide image into
     tiles of about the network's aspect, each a run of the network, instead of squeezing it;
@@ -66,6 +68,7 @@ class SegmentImage(ModelStage):
                 f"model '{self.model.name}' has a head of kind '{head['kind']}'; "
                 "SegmentImage takes 'scores' or 'label_map'"
             )
+        self._grid = ScoreGrid.of(self.model.input_shape, head)
         taxonomy = load_taxonomy()
         self._classes = len(taxonomy)
         try:
@@ -80,10 +83,9 @@ class SegmentImage(ModelStage):
 
     def prepare(self, image: Message[Image]) -> Tensors:
         pixels = eight_bit(image.payload)
-        height, width, _ = self.model.input_shape
         pictures = []
-        for x0, _, x1, _ in self._rects(pixels):
-            picture = fitted(pixels[:, x0:x1], (width, height))
+        for x0, _, x1, _ in self._windows(pixels):
+            picture = self._grid.fit(pixels[:, x0:x1])
             for table in self._gammas:
                 exposed = picture if table is None else np.asarray(cv2.LUT(picture, table))
                 pictures.append(in_color_order(exposed, self.model.color))
@@ -94,28 +96,32 @@ class SegmentImage(ModelStage):
     def finish(self, outputs: Tensors, image: Message[Image]) -> ClassScores:
         data = image.payload.data
         if self.model.head["kind"] == "label_map":
-            scores = Tensor(self._read_labels(outputs["labels"].array))
+            answer = outputs["labels"]
+            scores = Tensor(self._read_labels(answer.array))
         else:
-            scores = self._read_logits(outputs["scores"])
+            answer = outputs["scores"]
+            scores = self._read_logits(answer)
+        rows, columns = answer.array.shape[1:3]
+        rects = [self._grid.rect(window, (rows, columns)) for window in self._windows(data)]
         return ClassScores(
             grid=scores.array,
-            rects=np.array(self._rects(data), dtype=np.float32),
+            rects=np.array(rects, dtype=np.float32),
             scale=scores.scale,
             zero_point=scores.zero_point,
-            align_corners=bool(self.model.head.get("align_corners", False)),
+            align_corners=False,  # the rectangles hold it
             camera=image.payload.camera,
             size=(data.shape[1], data.shape[0]),
         )
 
-    def _rects(self, data: NDArray[np.generic]) -> list[tuple[int, int, int, int]]:
+    def _windows(self, data: NDArray[np.generic]) -> list[tuple[int, int, int, int]]:
         """x0 y0 x1 y1 of every tile, pixel edges."""
         height, width = data.shape[:2]
-        rects = []
+        windows = []
         for tile in self.tiles or (Tiling(width / height, 1),):
             tile_width = min(width, round(tile.aspect * height))
             for x0 in np.linspace(0, width - tile_width, tile.count).round().astype(int).tolist():
-                rects.append((x0, 0, x0 + tile_width, height))
-        return rects
+                windows.append((x0, 0, x0 + tile_width, height))
+        return windows
 
     def _read_logits(self, scores: Tensor) -> Tensor:
         """Our log scores (tiles, rows, columns, CHANNELS) of the logits of all pictures."""
@@ -142,10 +148,8 @@ class SegmentImage(ModelStage):
 
     def _read_labels(self, labels: NDArray[np.generic]) -> NDArray[np.float32]:
         """The same of label maps (n, rows, columns), sampled every `stride` pixels."""
-        stride = self.model.head.get("stride", 1)
-        # With aligned corners the first sample is the corner pixel, else the middle of the cell.
-        first = 0 if self.model.head.get("align_corners", False) else stride // 2
-        sampled = labels[:, first::stride, first::stride]
+        rows, columns = (self._grid.taken(cells) for cells in labels.shape[1:])
+        sampled = labels[:, rows[:, None], columns]
         return self._over_gammas(self._label_scores[sampled])
 
     def _over_gammas(self, scores: NDArray[np.float32]) -> NDArray[np.float32]:

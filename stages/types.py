@@ -59,9 +59,9 @@ class ClassScores:
     """Logits (or log-probabilities: both are "log scores") of one image, at any stride, in one or
     more tiles.
 
-    Tile i covers the rectangle `rects[i]` of the image. With `align_corners` the outer grid cells
-    lie on the centres of the rectangle's corner pixels; without, the rectangle is divided evenly
-    into cells.
+    Tile i covers the rectangle `rects[i]`, which may reach beyond the image. With `align_corners`
+    the outer grid cells lie on the centres of the rectangle's corner pixels; without, the rectangle
+    is divided evenly into cells.
     """
 
     grid: (

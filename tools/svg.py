@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from xml.sax.saxutils import escape
 
@@ -17,12 +18,17 @@ BOLD = 1.15  #: how much wider bold letters are
 
 INK, MUTED, LINE, PAPER, CARD = "#0f172a", "#64748b", "#94a3b8", "#ffffff", "#f8fafc"
 SENSOR, PLAIN = "#334155", "#64748b"
+LOAD = "#fbbf24"
+NO_LOADS: Mapping[str, float] = {}
 #: One per device in the order of the file; readable with white text, also without red and green.
 DEVICES = ("#0f766e", "#4f46e5", "#b45309", "#be185d", "#0369a1", "#6d28d9")
 
 
-def svg(diagram: Diagram) -> str:
-    """The whole picture, on white so that it reads on a dark page too."""
+def svg(diagram: Diagram, loads: Mapping[str, float] = NO_LOADS) -> str:
+    """The whole picture, on white so that it reads on a dark page too.
+
+    `loads` are percent of a core by stage: written into its box, and drawn as a bar.
+    """
     heights = {box.name: _height(box) for box in diagram.boxes}
     boxes = {box.name: box for box in diagram.boxes}
     links = [
@@ -35,7 +41,7 @@ def svg(diagram: Diagram) -> str:
         for arrow in diagram.arrows
     ]
     layout = arrange(heights, links, GAP_Y)
-    lefts, widths = _columns(diagram, layout)
+    lefts, widths = _columns(diagram, layout, loads)
     devices = list(dict.fromkeys(device for box in diagram.boxes for device in box.devices))
     colors = dict(zip(devices, DEVICES * (1 + len(devices) // len(DEVICES)), strict=False))
 
@@ -55,8 +61,11 @@ def svg(diagram: Diagram) -> str:
                 box, lefts[place], MARGIN + layout.top[box.name], widths[place], _color(box, colors)
             )
         )
+        if (load := loads.get(box.name)) is not None:
+            body.append(_load(lefts[place], MARGIN + layout.top[box.name], widths[place], load))
     width = lefts[-1] + widths[-1] + MARGIN if lefts else 2 * MARGIN
-    bottom = max((layout.top[name] + heights[name] for name in heights), default=0.0) + MARGIN
+    lows = [layout.top[name] + heights[name] for name in heights]
+    bottom = max([*lows, *(y for bends in layout.bends for y in bends)], default=0.0) + MARGIN
     body.append(_legend(colors, MARGIN, bottom + 22))
     height = bottom + 22 + MARGIN
     return "\n".join(
@@ -109,11 +118,14 @@ def _text_width(text: str, size: float) -> float:
     return len(text) * size * 0.6
 
 
-def _columns(diagram: Diagram, layout: Layout) -> tuple[list[float], list[float]]:
+def _columns(
+    diagram: Diagram, layout: Layout, loads: Mapping[str, float]
+) -> tuple[list[float], list[float]]:
     """The left edge and the width of every column."""
     widths = [0.0] * (max(layout.column.values(), default=-1) + 1)
     for box in diagram.boxes:
         wide = _text_width(box.name, NAME_PX) * BOLD
+        wide += _text_width("100.0 %", TEXT_PX) if box.name in loads else 0.0
         wide = max(wide, _text_width(" → ".join(box.devices), TEXT_PX) * BOLD)
         ports = _named_ports(box)
         for row, socket in enumerate(box.inputs):
@@ -166,6 +178,18 @@ def _box(box: Box, x: float, y: float, width: float, color: str) -> str:
     for port in _named_ports(box):
         parts.append(_text(x + width - PAD, y + _port_y(box, port), port, INK, anchor="end"))
     return "\n".join([*parts, "</g>"])
+
+
+def _load(x: float, y: float, width: float, percent: float) -> str:
+    """A load in the header, and as a bar under it that is full at one core."""
+    bar = width * min(max(percent, 0.0), 100.0) / 100
+    return "\n".join(
+        [
+            _text(x + width - PAD, y + HEADER / 2, f"{percent:.1f} %", "#ffffff", anchor="end"),
+            f'<rect x="{x:.1f}" y="{y + HEADER - 4:.1f}" width="{bar:.1f}" height="4" '
+            f'fill="{LOAD}"/>',
+        ]
+    )
 
 
 def _header(x: float, y: float, width: float, color: str, whole: bool) -> str:

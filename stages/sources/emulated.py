@@ -1,7 +1,8 @@
-"""Emulated sensors: the shapes, rates, jitter and delays of real ones, and nothing to see.
+"""Emulated sensors: the shapes, rates, jitter and delays of real ones, on a street that is made up.
 
-A payload is made once, when the source opens, so a message costs next to nothing and the load in a
-profile is the graph's own. Without `count` a stream has no end.
+A payload is made once, when the source opens, and fits the motion all the same (see
+`stages.emulated_street`), so a message costs next to nothing and the load in a profile is the
+graph's own. Without `count` a stream has no end. The vehicle flies along x.
 """
 
 from __future__ import annotations
@@ -13,8 +14,25 @@ import numpy as np
 
 from pipeline.message import Message
 from pipeline.stage import Source, Timing
+from stages.emulated_street import (
+    lidar_rays,
+    look_along,
+    look_through,
+    painted,
+    painted_gray,
+)
+from stages.kernels.compiled import locked
 from stages.sources.stamps import Stamps
-from stages.types import Image, Pose, Scan
+from stages.types import Calibration, Camera, DepthImage, Image, Pose, Scan
+
+NOWHERE = Calibration()
+
+#: A camera looking ahead, x right, y down, z forward.
+AHEAD = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+
+DEPTH_UNIT_M = 0.001
+DEPTH_REACH_M = 20.0  #: of a stereo camera
+LIDAR_REACH_M = 50.0
 
 
 class _Emulated(Source):
@@ -44,12 +62,14 @@ class _Emulated(Source):
         return self._stamps.of(counted_from() if self.count is None else range(self.count))
 
 
-class EmulatedCamera(_Emulated):
-    """An RGB camera: (height, width, 3) uint8 noise."""
+class _EmulatedCamera(_Emulated):
+    """A camera where the calibration has it; without any calibration one of `width` x `height`
+    that looks ahead through a 90 deg lens."""
 
     def __init__(
         self,
         *,
+        calibration: Calibration = NOWHERE,
         camera: str = "rgb",
         width: int = 848,
         height: int = 480,
@@ -69,24 +89,48 @@ class EmulatedCamera(_Emulated):
             seed=seed,
         )
         self.camera = camera
-        self.shape: tuple[int, ...] = (height, width, 3)
+        if calibration.sensors:
+            self._lens = calibration.camera(camera)
+            self._pose = calibration.sensor(camera).base_from_sensor
+        else:
+            center = (width - 1) / 2, (height - 1) / 2
+            self._lens = Camera((width, height), width / 2, width / 2, *center)
+            self._pose = AHEAD
+
+
+class EmulatedCamera(_EmulatedCamera):
+    """An RGB camera: (height, width, 3) uint8, everything in the color of its class."""
 
     def open(self) -> None:
-        noise = np.random.default_rng(self.seed).integers(0, 256, self.shape, dtype=np.uint8)
-        noise.flags.writeable = False
-        self._image = Image(noise, self.camera)
+        sight = look_through(self._lens, self._pose)
+        self._image = Image(locked(painted(sight.label)), self.camera)
 
     def messages(self) -> Iterator[Message[Image]]:
         for _, stamp in self._frames():
             yield Message.at(stamp, self._image, received=self._stamps.arrival(stamp))
 
 
-class EmulatedThermal(EmulatedCamera):
-    """A thermal camera with its gain control on: (height, width) uint8 noise."""
+class EmulatedDepth(_EmulatedCamera):
+    """The depth of an RGB-D camera, (height, width) uint16 mm, aligned to its color and stamped
+    alike: an `EmulatedCamera` with the same options, `seed` too, gives the same stamps."""
+
+    def open(self) -> None:
+        depth = look_through(self._lens, self._pose).distance
+        counts = np.where(depth < DEPTH_REACH_M, np.rint(depth / DEPTH_UNIT_M), 0)
+        self._image = DepthImage(locked(counts.astype(np.uint16)), DEPTH_UNIT_M, self.camera)
+
+    def messages(self) -> Iterator[Message[DepthImage]]:
+        for _, stamp in self._frames():
+            yield Message.at(stamp, self._image, received=self._stamps.arrival(stamp))
+
+
+class EmulatedThermal(_EmulatedCamera):
+    """A thermal camera with its gain control on: (height, width) uint8, what is warm is bright."""
 
     def __init__(
         self,
         *,
+        calibration: Calibration = NOWHERE,
         camera: str = "thermal",
         width: int = 640,
         height: int = 512,
@@ -98,6 +142,7 @@ class EmulatedThermal(EmulatedCamera):
         seed: int = 1,
     ) -> None:
         super().__init__(
+            calibration=calibration,
             camera=camera,
             width=width,
             height=height,
@@ -108,11 +153,18 @@ class EmulatedThermal(EmulatedCamera):
             count=count,
             seed=seed,
         )
-        self.shape = (height, width)
+
+    def open(self) -> None:
+        sight = look_through(self._lens, self._pose)
+        self._image = Image(locked(painted_gray(sight.label)), self.camera)
+
+    def messages(self) -> Iterator[Message[Image]]:
+        for _, stamp in self._frames():
+            yield Message.at(stamp, self._image, received=self._stamps.arrival(stamp))
 
 
 class EmulatedLidar(_Emulated):
-    """A spinning LiDAR of `rows` beams over +-45 deg: organised scans of a sphere of 10 m.
+    """A spinning LiDAR of `rows` beams over +-45 deg that sees 50 m far: organized scans.
 
     A scan is stamped mid-sweep; `begin` and `end` are half a period before and after it, and column
     times run evenly over the sweep.
@@ -121,6 +173,7 @@ class EmulatedLidar(_Emulated):
     def __init__(
         self,
         *,
+        calibration: Calibration = NOWHERE,
         sensor: str = "lidar",
         rows: int = 128,
         columns: int = 1024,
@@ -141,25 +194,23 @@ class EmulatedLidar(_Emulated):
         )
         self.sensor = sensor
         self.shape = (rows, columns)
+        known = calibration.sensors
+        self._pose = calibration.sensor(sensor).base_from_sensor if known else np.eye(4)
         self._half_sweep = round(0.5e9 / rate_hz)
 
     def open(self) -> None:
         rows, columns = self.shape
-        elevation = np.linspace(np.pi / 4, -np.pi / 4, rows)[:, None]
-        azimuth = np.linspace(np.pi, -np.pi, columns, endpoint=False)[None, :]
-        x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
-        points = 10.0 * np.stack(np.broadcast_arrays(x, y, np.sin(elevation)), axis=-1)
+        rays = lidar_rays(rows, columns)
+        sight = look_along(rays, self._pose)
+        distance = np.where(sight.distance < LIDAR_REACH_M, sight.distance, np.float32(0))
         columns_ns = np.linspace(-self._half_sweep, self._half_sweep, columns, dtype=np.int32)
         self._scan = Scan(
-            points=points.reshape(-1, 3).astype(np.float32),
-            remission=np.random.default_rng(self.seed).random(rows * columns, dtype=np.float32),
-            times_ns=np.tile(columns_ns, rows),
+            points=locked((distance[..., None] * rays).reshape(-1, 3)),
+            remission=locked(painted_gray(sight.label).reshape(-1) * np.float32(1 / 255)),
+            times_ns=locked(np.tile(columns_ns, rows)),
             shape=self.shape,
             sensor=self.sensor,
         )
-        for array in (self._scan.points, self._scan.remission, self._scan.times_ns):
-            if array is not None:
-                array.flags.writeable = False
 
     def messages(self) -> Iterator[Message[Scan]]:
         for _, stamp in self._frames():

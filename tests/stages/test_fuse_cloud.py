@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -104,6 +106,83 @@ def test_the_order_of_the_sources_does_not_matter() -> None:
     stage = FuseCloud(calibration=CALIBRATION)
     one, other = stage.process(scan(), images), stage.process(scan(), images[::-1])
     np.testing.assert_allclose(posterior(one), posterior(other), atol=1e-6)
+
+
+#: One camera above the other, 20 deg up and 20 deg down, 77 deg high each: they share 37 deg.
+STACKED = Calibration.parse(
+    {
+        "lidar": {"base_from_sensor": np.eye(4).tolist()},
+        **{
+            name: {
+                "base_from_sensor": {
+                    "translation": [0.1, 0, z],
+                    "rotation_rpy_deg": [roll, 0, -90],
+                },
+                "camera": {"size": [100, 80], "fx": 50, "fy": 50, "cx": 50, "cy": 40},
+            }
+            for name, z, roll in (("upper", 0.02, -70), ("lower", -0.02, -110))
+        },
+    }
+)
+
+
+def stacked_inputs() -> dict[str, tuple[Message[ClassScores], Message[Detections]]]:
+    """What each camera says of its whole image, and a person ahead of both, by camera."""
+    inputs = {}
+    for name, label in (("upper", VEHICLE), ("lower", ROAD)):
+        image = halves(label, label)
+        scores = replace(image.payload, camera=name)
+        row = 22 if name == "lower" else 58  # 20 deg off the axis
+        found = boxes(([45, row - 4, 55, row + 4], PERSON, 0.7))
+        inputs[name] = (
+            Message.at(SECOND, scores),
+            Message.at(SECOND, replace(found.payload, camera=name)),
+        )
+    return inputs
+
+
+def test_points_that_two_stacked_cameras_see_get_both_votes() -> None:
+    level, high, low, behind = [10, 0, 0], [10, 3, 6], [10, 3, -6], [-10, 0, 0]
+    cloud = scan(np.array([level, high, low, behind], np.float32))
+    inputs = stacked_inputs()
+    images = tuple(inputs[name][0] for name in ("upper", "lower"))
+    found = tuple(inputs[name][1] for name in ("upper", "lower"))
+    fused = FuseCloud(calibration=STACKED).run_once(cloud, images, found)
+    assert fused.voted is not None
+    # Bits: 1 and 2 the images, 3 and 4 the boxes, in the order of the edges.
+    assert fused.voted.tolist() == [0b11110, 0b00010, 0b00100, 0]
+    assert fused.evidence.tolist() == [True, True, True, False]
+    both = posterior(fused)[0]
+    one = softmax(np.eye(16)[None, VEHICLE] * 4.0, C) * softmax(np.eye(16)[None, ROAD] * 4.0, C)
+    for _ in found:  # eq 4 at a box's center, twice: the cameras are two witnesses
+        said = np.full(C, (1 - 0.7) / (C - 1))
+        said[PERSON] = 0.7
+        one = one * said
+    np.testing.assert_allclose(both, (one / one.sum())[0], atol=0.02)
+    assert posterior(fused).argmax(axis=1).tolist()[:3] == [PERSON, VEHICLE, ROAD]
+
+
+def test_the_order_of_two_cameras_does_not_matter() -> None:
+    rng = np.random.default_rng(4)
+    points = (rng.normal(size=(3_000, 3)) * (8, 6, 4) + (8, 0, 0)).astype(np.float32)
+    scored = Cloud(
+        points, rng.normal(size=(3_000, 16)).astype(np.float32), np.ones(3_000, bool), None, "lidar"
+    )
+    inputs = stacked_inputs()
+    stage = FuseCloud(calibration=STACKED)
+    results = []
+    for order in (("upper", "lower"), ("lower", "upper")):
+        images = tuple(inputs[name][0] for name in order)
+        found = tuple(inputs[name][1] for name in order)
+        results.append(stage.process(Message.at(SECOND, scored), images, found))
+    one, other = results
+    np.testing.assert_allclose(posterior(one), posterior(other), atol=1e-6)
+    assert one.voted is not None
+    assert other.voted is not None
+    swapped = np.array([0, 2, 1, 4, 3])  # the bit of each edge in the other order
+    expected = sum(((one.voted >> bit) & 1) << swapped[bit] for bit in range(5))
+    np.testing.assert_array_equal(other.voted, expected)
+    assert {0b00111, 0b00011, 0b00101, 0b00001} <= set(np.unique(one.voted).tolist())
 
 
 def test_a_missing_image_is_no_evidence() -> None:

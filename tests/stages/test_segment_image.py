@@ -54,9 +54,22 @@ def test_scores_in_our_channels_stay_quantized_and_uncopied() -> None:
     image = photo(20, 10)
     found = stage.finish({"scores": Tensor(grid, 0.1, 3)}, image)
     assert found.grid is grid
-    assert (found.scale, found.zero_point, found.align_corners) == (0.05, 3, True)
+    assert (found.scale, found.zero_point, found.align_corners) == (0.05, 3, False)
     assert (found.camera, found.size) == ("front", (20, 10))
-    assert found.rects.tolist() == [[0, 0, 20, 10]]
+
+
+def test_scores_of_a_network_one_pixel_larger_than_the_image_lie_on_every_eighth_pixel() -> None:
+    stage = opened({"kind": "scores", "align_corners": True}, shape=(17, 25, 3))
+    image = photo(24, 16)
+    picture = stage.prepare(image)["image"].array[0]
+    np.testing.assert_array_equal(picture[:16, :24], image.payload.data)
+    grid = np.zeros((1, 3, 4, CHANNELS), dtype=np.float32)
+    grid[0, :, :, 0], grid[0, :, :, 1] = np.meshgrid(np.arange(4), np.arange(3))
+    found = stage.finish({"scores": Tensor(grid)}, image)
+    pixel = np.array([[0, 0], [8, 8], [16, 0], [12, 4]], np.float32)
+    rows, covered = sample_scores(found.grid, found.rects, 1.0, 0.0, False, pixel, 2)
+    assert covered.all()
+    np.testing.assert_allclose(rows[:, :2], [[0, 0], [1, 1], [2, 0], [1.5, 0.5]], atol=1e-6)
 
 
 def test_classes_of_the_network_become_ours() -> None:

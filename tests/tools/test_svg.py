@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from xml.etree import ElementTree
 
+import graphs
 from tools.diagram import Arrow, Box, Diagram, Socket
+from tools.load import open_graph
 from tools.svg import svg
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -49,6 +53,20 @@ def test_everything_lies_inside_the_picture() -> None:
         assert float(box.get("x", "nan")) + float(box.get("width", "nan")) <= width
         assert float(box.get("y", "nan")) >= 0
         assert float(box.get("y", "nan")) + float(box.get("height", "nan")) <= height
+
+
+def test_the_legend_stands_below_an_edge_that_passes_under_all_boxes() -> None:
+    graph, _ = open_graph(Path(graphs.__file__).parent / "emulated_uav.yaml")
+    picture = drawn(Diagram.of(graph))
+    legend = min(
+        float(rect.get("y", "nan"))
+        for rect in picture.iter(f"{SVG}rect")
+        if rect.get("width") == rect.get("height") == "10"
+    )
+    numbers = re.compile(r"-?[0-9.]+ (-?[0-9.]+)")
+    edges = [path for path in picture.iter(f"{SVG}path") if path.get("fill") == "none"]
+    lowest = max(float(y) for path in edges[:-2] for y in numbers.findall(path.get("d", "")))
+    assert lowest < legend
 
 
 def test_an_empty_graph_is_an_empty_picture() -> None:
