@@ -1,0 +1,70 @@
+"""Recorded flights: any topic of an MCAP file as a source, and the calibration that it brings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import DataError
+from pipeline.message import Message
+from pipeline.recording.mcap import McapReader
+from pipeline.stage import Source
+from stages.codecs.poses import decode_calibration
+from stages.codecs.registry import codec_for
+from stages.types import Calibration
+
+#: Topics that hold the calibration: the fixed transforms, and one per camera.
+MOUNTS = "calibration/mounts"
+CAMERAS = "calibration/cameras/"
+
+
+class Recording(Source):
+    """The messages of one topic, as they were recorded.
+
+    Stamps, extents and arrival times are the recording's. A file that a crash has cut short is read
+    up to its last whole chunk.
+    """
+
+    def __init__(self, *, path: Path, topic: str) -> None:
+        """`path`: the MCAP file. `topic`: its name in the file."""
+        self.path = path
+        self.topic = topic
+
+    def open(self) -> None:
+        channels = McapReader(self.path).channels()
+        if self.topic not in channels:
+            close = get_close_matches(self.topic, channels, n=1)
+            hint = f"did you mean '{close[0]}'?" if close else f"it has {', '.join(channels)}"
+            raise DataError(f"{self.path}: no topic '{self.topic}'; {hint}")
+        codec = codec_for(channels[self.topic])
+        if codec is None:
+            raise DataError(
+                f"{self.path}: topic '{self.topic}' holds {channels[self.topic].schema}, which is "
+                "no payload of a stage"
+            )
+        self._codec = codec
+
+    def messages(self) -> Iterator[Message[Any]]:
+        for record in McapReader(self.path).records([self.topic]):
+            try:
+                yield self._codec.decode(record.data, record.received)
+            except DataError as error:
+                where = f"{self.path}: {self.topic}, message {record.seq}"
+                raise DataError(f"{where}: {error}") from error
+
+
+def calibration(*, path: Path) -> Calibration:
+    """The calibration that a recording brings. Raises DataError."""
+    reader = McapReader(path)
+    topics = reader.channels()
+    if MOUNTS not in topics:
+        raise DataError(
+            f"{path}: brings no calibration (topic {MOUNTS}); give one in the graph file"
+        )
+    cameras = [topic for topic in topics if topic.startswith(CAMERAS)]
+    latest = {record.topic: record.data for record in reader.records([MOUNTS, *cameras])}
+    if MOUNTS not in latest:
+        raise DataError(f"{path}: the calibration was not written before the file was cut short")
+    return decode_calibration(latest[MOUNTS], [latest[name] for name in cameras if name in latest])
