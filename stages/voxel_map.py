@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from typing import IO, Any, Literal
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,9 @@ INITIAL_VOXELS = 1 << 16
 #: Arrays grow by a quarter, which bounds what is held and unused: 131 bytes per voxel at most with
 #: the infinite horizon (92 in the arrays, up to 16 in the table).
 GROWTH = 1.25
+
+#: Of saved maps; raised when older programs could not read them rightly.
+FORMAT = 1
 
 #: What a saved map needs to be made again.
 SETTINGS = ("voxel_m", "classes", "horizon", "scans", "window_of", "merge")
@@ -161,16 +165,21 @@ class VoxelMap:
 
     def save(self, file: IO[bytes]) -> None:
         """Write everything as npz; `load` goes on where this map stands."""
+        np.savez(file, **self.state())
+
+    def state(self) -> dict[str, Any]:
+        """Everything as arrays by name, to be saved; views of the map's own where they can be."""
         queue = list(self._queue)
         content: dict[str, Any] = {name: array[: self.used] for name, array in self._arrays.items()}
         for name in SETTINGS:
             content[name] = getattr(self, name)
+        content["format"] = FORMAT
         content["beyond"] = self.beyond
         content["first_stamp"] = -1 if self._first_stamp is None else self._first_stamp
         content["queue_lengths"] = np.array([len(slots) for slots, _ in queue], dtype=np.int64)
         content["queue_slots"] = np.concatenate([s for s, _ in queue] or [NO_SLOTS])
         content["queue_entries"] = np.concatenate([e for _, e in queue] or [NO_ENTRIES])
-        np.savez(file, **content)
+        return content
 
     @classmethod
     def load(cls, file: IO[bytes] | str) -> VoxelMap:
@@ -178,9 +187,11 @@ class VoxelMap:
         try:
             with np.load(file, allow_pickle=False) as content:
                 stored = {name: content[name] for name in content.files}
+            if (form := stored.get("format", FORMAT)) != FORMAT:
+                raise ValueError(f"its format is {form}, and {FORMAT} can be read")
             loaded = cls(**{name: stored.pop(name).item() for name in SETTINGS})
             loaded._restore(stored)
-        except (OSError, ValueError, KeyError, TypeError, EOFError) as error:
+        except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
             raise DataError(f"not a saved voxel map ({error}); give one that was saved") from error
         return loaded
 

@@ -16,11 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.kernels.compiled import compiled
+from stages.kernels.compiled import compiled, prefetch, prefetch_to_write
 from stages.kernels.voxels import FLOOR, LOG_LEAST, REACH, spread
 
 ENTRY = 20
 UNITS = 1024.0  #: per nat, and per edge of a voxel
+
+#: So many points or voxels ahead their rows are asked for: about as long as memory takes.
+AHEAD = 32
 
 #: The most scans in a window: 31 rows of at most 2^26 each fit an int32.
 MAX_WINDOW = 31
@@ -108,6 +111,9 @@ def merge_scan(
     sums = np.zeros((m, 3), dtype=np.float32)
     counts = np.zeros(m, dtype=np.int32)
     for i in range(n):
+        prefetch(log_scores, (i + AHEAD) * 16)
+        if i + AHEAD < n and keys[i + AHEAD] >= 0:
+            prefetch_to_write(rows, voxel_of[i + AHEAD] * 16)
         if keys[i] < 0:
             continue
         slot = np.uint64(voxel_of[i])
@@ -129,7 +135,8 @@ def merge_scan(
         if mean:
             for k in range(classes):
                 rows[j, k] /= np.float32(counts[j])
-        _lift(rows[j], classes)
+        if counts[j] > 1:  # a single point's maximum is 0 already
+            _lift(rows[j], classes)
     return voxels[:m].copy(), rows, sums, counts
 
 
@@ -155,8 +162,12 @@ def find(voxels: NDArray[np.int64], table: NDArray[np.int32], keys: NDArray[np.i
     slots = np.empty(m, dtype=np.int32)
     missing = 0
     for i in range(m):
+        if i + AHEAD < m:
+            prefetch(table, spread(voxels[i + AHEAD]) & mask)
         slots[i] = table[spread(voxels[i]) & mask] - np.int32(1)
     for i in range(m):
+        if i + AHEAD < m:
+            prefetch(keys, max(slots[i + AHEAD], 0))
         slot = slots[i]
         if slot >= 0 and keys[np.uint64(slot)] != voxels[i]:
             place = spread(voxels[i]) & mask
@@ -205,6 +216,8 @@ def fold(
     Eq 13 with eq 14-17 deferred: L += l, then L -= max L, held above `FLOOR`.
     """
     for i in range(len(slots)):
+        if i + AHEAD < len(slots):
+            prefetch_to_write(scores, np.int64(slots[i + AHEAD]) * 16)
         slot = np.uint64(slots[i])
         top = np.float32(-np.inf)
         for k in range(classes):
@@ -229,6 +242,9 @@ def fold_positions(
     A running mean: a sum in float32 would lose millimeters beyond 10^5 points. Hits saturate.
     """
     for i in range(len(slots)):
+        if i + AHEAD < len(slots):
+            prefetch_to_write(means, np.int64(slots[i + AHEAD]) * 3)
+            prefetch_to_write(hits, slots[i + AHEAD])
         slot = np.uint64(slots[i])
         total = min(np.int64(hits[slot]) + counts[i], 0x7FFFFFFF)
         share = np.float32(1.0 / total)
@@ -259,6 +275,8 @@ def add_entries(
 ) -> None:
     """Add (`sign` 1) or take out (-1) entries (m, 20) of `window` (c, 20); slots of -1 are gone."""
     for i in range(len(slots)):
+        if i + AHEAD < len(slots):
+            prefetch_to_write(window, np.int64(slots[i + AHEAD]) * ENTRY)
         if slots[i] >= 0:
             slot = np.uint64(slots[i])
             for k in range(ENTRY):

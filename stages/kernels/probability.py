@@ -13,13 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.kernels.compiled import compiled
+from stages.kernels.compiled import compiled, prefetch_to_write
 
 #: No source may veto a class forever: the least probability of a class, relative to its likeliest.
 LEAST = 1e-6
 
 LOG_LEAST = np.float32(np.log(LEAST))
 PADDING = np.float32(-1e4)
+
+#: So many rows ahead a point's row is asked for.
+AHEAD = 32
 
 
 @compiled
@@ -71,10 +74,13 @@ def accumulate(
     those points have `evidence` (n,) from then on.
     """
     for i in range(len(index)):
+        if i + AHEAD < len(index):
+            prefetch_to_write(total, index[i + AHEAD] * 16)
         if said[i]:
-            evidence[index[i]] = True
+            point = np.uint64(index[i])
+            evidence[point] = True
             for k in range(classes):
-                total[index[i], k] += rows[i, k]
+                total[point, k] += rows[i, k]
 
 
 @compiled

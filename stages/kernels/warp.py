@@ -111,25 +111,28 @@ def warp(
     source = np.full((height, width), -1, dtype=np.int32)
     nearest = np.full((height, width), np.inf, dtype=np.float32)
     u, v = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
-    z = np.empty(width, dtype=np.float32)
+    z, to = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.int32)
+    from_pixel, depth = source.reshape(-1), nearest.reshape(-1)
     right, bottom = np.float32(width - 0.5), np.float32(height - 0.5)
-    half = np.float32(0.5)
+    half, none = np.float32(0.5), np.float32(0.0)
     for row in range(height):
         row_pixels(depth_before, rays, row, 0, now_from_before, intrinsics, limit, u, v, z)
+        for column in range(width):  # vectors, which leaves little to the loop that splats
+            x, y = u[column], v[column]
+            inside = (x >= -half) & (x < right) & (y >= -half) & (y < bottom) & (z[column] > none)
+            x, y = x if inside else none, y if inside else none
+            pixel = np.int32(y + half) * np.int32(width) + np.int32(x + half)
+            to[column] = pixel if inside else np.int32(-1)
         for column in range(width):
-            inside = u[column] >= -half and u[column] < right and v[column] >= -half
-            if not (z[column] > 0.0 and inside and v[column] < bottom):
-                continue
-            to_row, to_column = int(v[column] + half), int(u[column] + half)
-            if z[column] < nearest[to_row, to_column]:
-                nearest[to_row, to_column] = z[column]
-                source[to_row, to_column] = row * width + column
+            place = np.uint64(to[column])
+            if to[column] >= 0 and z[column] < depth[place]:
+                depth[place] = z[column]
+                from_pixel[place] = row * width + column
     count = 0
     for row in range(height):
         for column in range(width):
             here = depth_now[row, column]
-            if here > 0.0 and abs(nearest[row, column] - here) < SAME_SURFACE * here:
-                count += 1
-            else:
-                source[row, column] = -1
+            same = (here > none) & (abs(nearest[row, column] - here) < SAME_SURFACE * here)
+            source[row, column] = source[row, column] if same else np.int32(-1)
+            count += int(same)
     return source, count

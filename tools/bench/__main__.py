@@ -14,7 +14,19 @@ import typer
 from tools.bench import machine
 from tools.bench.harness import Effort, Row
 
-NAMES = ("hop", "chain", "sync", "scheduler", "emulated", "fanout", "command")
+NAMES = (
+    "hop",
+    "chain",
+    "sync",
+    "scheduler",
+    "emulated",
+    "fanout",
+    "wanted",
+    "profiler",
+    "kernels",
+    "plan",
+    "command",
+)
 HEAD = "| benchmark | figure | goal | measured | beside it, same run | ratio | met |"
 
 

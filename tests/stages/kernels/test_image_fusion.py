@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.kernels.image_fusion import CAP, colorize, fuse_rows
+from stages.kernels.image_fusion import BLOCK, CAP, colorize, fuse_rows
 from stages.kernels.sampling import sample_scores
 from stages.taxonomy import load_taxonomy
 
@@ -114,6 +114,29 @@ def test_the_blend_is_eq_6_to_four_millionths(kind: str, align_corners: bool, ti
     np.testing.assert_array_equal(mask, fused.argmax(axis=0))
     np.testing.assert_array_equal(confidence, fused.max(axis=0))
     assert (spoiled, uncovered) == (0, 0)
+
+
+@pytest.mark.parametrize("cells", [(301, 4), (38, 2)])
+def test_rows_wider_than_a_block_and_cells_that_are_pixels(cells: tuple[int, int]) -> None:
+    rng = np.random.default_rng(8)
+    size = (301, 4)
+    assert size[0] > 2 * BLOCK
+    grid = rng.normal(0, 4, (1, cells[1], cells[0], 16)).astype(np.float32)
+    past, source = random_past(rng, size)
+    source[:, BLOCK : 2 * BLOCK] = -1  # a block without a past
+    given_ = (grid, whole(size), size, past, source, 1.0, 0.0, True)
+    fused, mask, *_ = fuse(*given_)
+    np.testing.assert_allclose(fused, oracle(*given_), atol=4e-6)
+    np.testing.assert_array_equal(mask, fused.argmax(axis=0))
+
+
+def test_a_tile_as_wide_as_the_image_may_lie_beside_it() -> None:
+    rng = np.random.default_rng(9)
+    size = (40, 6)
+    grid = rng.normal(0, 3, (1, 6, 40, 16)).astype(np.float32)
+    rects = np.array([[7, 0, 47, 6]], np.float32)
+    given_ = (grid, rects, size, None, NO_PAST, 1.0, 0.0, False)
+    np.testing.assert_allclose(fuse(*given_)[0], oracle(*given_), atol=4e-6)
 
 
 def one_pixel(p: np.ndarray, before: np.ndarray | None) -> np.ndarray:

@@ -104,9 +104,37 @@ def test_tiles_meet_without_a_step() -> None:
     assert np.abs(np.diff(values[:, 0])).max() < 0.01
 
 
+def test_a_grid_without_cells_covers_nothing() -> None:
+    pixel = np.zeros((40, 2), np.float32)
+    for shape in ((0, 4, 6, 16), (1, 0, 6, 16), (1, 4, 0, 16)):
+        grid = np.zeros(shape, np.float32)
+        values, covered = sample_scores(grid, TILES[:1], 1.0, 0.0, False, pixel, CLASSES)
+        assert not covered.any()
+        assert not values.any()
+
+
 def test_a_grid_of_one_cell_is_that_cell_everywhere() -> None:
     grid = np.full((1, 1, 1, 16), 3.0, np.float32)
     pixel = np.array([[0, 0], [30, 20], [59, 39]], np.float32)
     for align_corners in (False, True):
         values, _ = sample_scores(grid, TILES[:1], 1.0, 0.0, align_corners, pixel, CLASSES)
         np.testing.assert_allclose(values[:, :CLASSES], 3.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "rect", [[np.nan] * 4, [5, 5, 5, 5], [9, 9, 1, 1], [0, 0, np.inf, 40], [-np.inf, 0, 60, 40]]
+)
+@pytest.mark.parametrize("align_corners", [False, True])
+def test_a_rectangle_without_sense_gives_finite_scores_or_none(
+    rect: list[float], align_corners: bool
+) -> None:
+    grid = np.ones((2, 4, 6, 16), np.float32)
+    rects = np.array([rect, [50, 30, 60, 40]], np.float32)
+    pixel = np.stack(np.meshgrid(np.arange(-1, 62) - 0.5, np.arange(-1, 42) - 0.5), -1)
+    pixel = pixel.reshape(-1, 2).astype(np.float32)
+    for tiles in (1, 2):
+        values, covered = sample_scores(
+            grid[:tiles], rects[:tiles], 1.0, 0.0, align_corners, pixel, CLASSES
+        )
+        assert np.isfinite(values).all()
+        assert not values[~covered].any()
