@@ -129,7 +129,8 @@ def drive(scheduler: Scheduler, topology: Topology, messages: Arrivals, steps: D
         for now, start in _before(arrival, ending, scheduler):
             events += 1
             if start is None:
-                begin(scheduler.time(now), now)
+                actions = scheduler.time(now)
+                begin([action for action in actions if isinstance(action, Start)], now)
             else:
                 last = start.step in (Step.PROCESS, Step.FINISH)
                 said = outputs[start.run.stage] if last else None
