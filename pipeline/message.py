@@ -34,6 +34,8 @@ class Message(Generic[T]):
     received: int  #: when the message arrived at its output port; at a source: at this host
     seq: int = 0  #: number on its output port, from 0
     lineage: tuple[Sample, ...] = ()  #: every sensor sample that went in
+    executor: str | None = None  #: the device whose model made it; None: no model
+    degraded: bool = False  #: it, or something in it, was made on a lower rung of a ladder
 
     @classmethod
     def at(

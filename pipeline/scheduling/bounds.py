@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.message import MAX_EXTENT_NS, Message
 from pipeline.scheduling.events import Refusal
 from pipeline.scheduling.topology import Port
+from pipeline.scheduling.wanted import Rhythm
 
 if TYPE_CHECKING:
     from pipeline.scheduling.edges import Edge
@@ -19,7 +20,17 @@ NEVER = -INFINITY
 class OutputPort:
     """One output port: its last stamp, its bound, its edges and its book of refusals."""
 
-    __slots__ = ("bound", "edges", "last", "min_period", "name", "port", "published", "refused")
+    __slots__ = (
+        "bound",
+        "edges",
+        "last",
+        "min_period",
+        "name",
+        "port",
+        "published",
+        "refused",
+        "rhythm",
+    )
 
     def __init__(self, port: Port, min_period: int | None) -> None:
         self.port = port
@@ -30,6 +41,7 @@ class OutputPort:
         self.published = 0
         self.refused: dict[Refusal, int] = {}
         self.edges: list[Edge] = []
+        self.rhythm: Rhythm | None = None  #: kept where somebody's wishes are predicted from it
 
     @property
     def ended(self) -> bool:

@@ -9,8 +9,10 @@ begins every step that may.
 
 from __future__ import annotations
 
+from bisect import insort
 from collections import deque
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any
 
 from pipeline.message import Message, Sample
@@ -18,6 +20,7 @@ from pipeline.scheduling.books import Books
 from pipeline.scheduling.bounds import INFINITY, OutputPort
 from pipeline.scheduling.devices import HISTORY, Device
 from pipeline.scheduling.events import (
+    Check,
     InputSet,
     Observer,
     Output,
@@ -29,7 +32,9 @@ from pipeline.scheduling.events import (
 )
 from pipeline.scheduling.stages import ActiveRun, StageState
 from pipeline.scheduling.streams import Streams
+from pipeline.scheduling.sync import WaitingSet
 from pipeline.scheduling.topology import OnError, Port, Topology
+from pipeline.scheduling.wanted import Verdict
 
 
 class Scheduler(Streams):
@@ -71,6 +76,8 @@ class Scheduler(Streams):
             now,
             output.published,
             message.lineage or (Sample(output.name, message.stamp, now),),
+            message.executor,
+            message.degraded,
         )
         self._send(output, taken)
         self._raise(output, output.promised_after(message.stamp))
@@ -97,54 +104,70 @@ class Scheduler(Streams):
             active.prepared, active.prepared_at = True, now
             self._serve(self._devices[str(active.device)])
         elif step is Step.INFER:
-            stage.finishing.append(active)
+            # Two devices, after one came back, may end their infers out of order.
+            insort(stage.finishing, active, key=attrgetter("number"))
         else:
             self._finish(stage, active, outputs or ())
+        self._serve_next(run, step)
         self._mark(stage)
         return self._start_what_can()
 
     def step_failed(self, run: Run, now: int) -> list[Start]:
         """A step raised."""
         self._begin(now)
-        active, stage, _ = self._step_over(run)
+        active, stage, step = self._step_over(run, failed=True)
         if active is not None:
             self._end(stage, active, "abandoned" if active.doomed else "failed")
+            self._serve_next(run, step)
             self._mark(stage)
         return self._start_what_can()
 
-    def time(self, now: int) -> list[Start]:
+    def time(self, now: int) -> list[Start | Check]:
         """A wake-up: deadlines may have passed."""
         if now >= self._wakeup:
             self._lateness.append(now - self._wakeup)
         self._begin(now)
+        checks: list[Start | Check] = []
+        for device in self._devices.values() if not self._offline else ():
+            if device.overdue_at is not None and device.overdue_at <= now:
+                self._hung(device)
+        for device in self._devices.values() if not self._stopping else ():
+            if device.check_due is not None and device.check_due <= now:
+                device.check()
+                checks.append(Check(device.name))
+        return self._start_what_can() + checks
+
+    def device_failed(self, run: Run, now: int) -> list[Start]:
+        """The infer of a run raised: its device is lost, the run goes on along its ladder."""
+        self._begin(now)
+        assert isinstance(run, ActiveRun)
+        device = self._devices[str(run.device)]
+        if device.inferring is run:
+            self._event("device_failed", device.name, f"an infer of {run.stage} failed on it")
+            self._lose(device, "failed")
+        return self._start_what_can()
+
+    def device_checked(self, device: str, ok: bool, now: int) -> list[Start]:
+        """The answer to a `Check`."""
+        self._begin(now)
+        checked = self._devices[device]
+        if checked.checking and ok:
+            self._restore(checked)
+        elif checked.checking:
+            checked.still_lost(now)
         return self._start_what_can()
 
     def device_down(self, device: str, now: int) -> list[Start]:
         """A device is gone: its runs move to the next rung that is up, or end here."""
         self._begin(now)
-        lost = self._devices[device]
-        if lost.up:
-            lost.up = False
-            moved = list(lost.pending)
-            lost.pending.clear()
-            if lost.inferring is not None:
-                moved.insert(0, self._retire(lost.inferring))
-                lost.inferring = None
-            for run in moved:
-                self._move(run, lost)
-            for other in self._devices.values():
-                self._serve(other)
-            for stage in lost.stages:
-                if not stage.live and stage.group and not stage.stopped:
-                    self._drop_queue(stage, Reason.REPLACED)
-            self._mark_device(lost)
+        self._lose(self._devices[device], "abandoned")
         return self._start_what_can()
 
     def device_up(self, device: str, now: int) -> list[Start]:
         """A device is back."""
         self._begin(now)
-        self._devices[device].up = True
-        self._mark_device(self._devices[device])
+        if not self._devices[device].up:
+            self._restore(self._devices[device])
         return self._start_what_can()
 
     def stop(self, now: int) -> list[Start]:
@@ -168,7 +191,7 @@ class Scheduler(Streams):
             self._commit(stage)
         for device in self._devices.values():
             device.pending.clear()
-            device.inferring = None
+            device.inferring = device.overdue_at = None
         return self._starts
 
     # ------------------------------------------------------------------ questions
@@ -176,6 +199,11 @@ class Scheduler(Streams):
     def ready(self, source: str) -> bool:
         """Whether a source may bring its next message (no blocked edge)."""
         return not self._blocked(self._by_name[source])
+
+    def has_later_rung(self, run: Run) -> bool:
+        """Whether a run would go on if its device were lost now."""
+        assert isinstance(run, ActiveRun)
+        return not run.doomed and self._later_rung(run, self._devices[str(run.device)]) is not None
 
     def quiescent(self) -> bool:
         """Nothing runs; without a further event nothing will."""
@@ -200,6 +228,9 @@ class Scheduler(Streams):
     def devices(self) -> dict[str, Device]:
         """The devices by name; read only."""
         return self._devices
+
+    def _event(self, kind: str, subject: str, text: str) -> None:
+        self._observer.event(kind, subject, text, self._now)
 
     def _begin(self, now: int) -> None:
         """Every event starts here: what has become due by now is looked at again."""
@@ -250,7 +281,7 @@ class Scheduler(Streams):
 
     def _next_due(self) -> int:
         due = [self._deadline(stage) for stage in self._synced]
-        due += [d.wakeup for d in self._devices.values() if d.wakeup is not None]
+        due += [at for device in self._devices.values() if (at := device.due()) is not None]
         return min(due, default=INFINITY)
 
     def _use_worker(self) -> bool:
@@ -280,8 +311,8 @@ class Scheduler(Streams):
         priority = -stage.priority
         if stage.finishing:
             return priority, 0, stage.finishing[0].stamp, stage.index
-        stamp = self._next_trigger(stage)
-        return None if stamp is None else (priority, 1, stamp, stage.index)
+        entry = self._next_trigger(stage)
+        return None if entry is None else (priority, 1, entry.stamp, stage.index)
 
     def _start_cpu_step(self, stage: StageState) -> bool:
         if stage.cpu_steps and not stage.stateless:
@@ -293,16 +324,13 @@ class Scheduler(Streams):
 
     def _try_process(self, stage: StageState) -> bool:
         """Start the stage's next run if it can; True where something changed."""
-        if self._next_trigger(stage) is None:
+        entry = self._next_trigger(stage)
+        if entry is None or (stage.ladder and not self._device_turn(stage)):
             return False
-        if stage.ladder and not self._device_turn(stage):
-            return False
-        entry = stage.sync.waiting[0] if stage.sync else self._head(stage)
-        assert entry is not None
-        age = stage.max_age
-        if age is not None and not self._offline and self._now - entry.stamp > age:
+        reason = self._unfit(stage, entry)
+        if reason is not None:
             self._pop_trigger(stage)
-            self._trigger_lost(stage, entry, Reason.TOO_OLD)
+            self._trigger_lost(stage, entry, reason)
             if stage.device is not None:
                 self._mark_device(stage.device)  # the turn may be another stage's now
             return True
@@ -316,28 +344,40 @@ class Scheduler(Streams):
         self._start_run(stage, inputs)
         return True
 
+    def _unfit(self, stage: StageState, entry: WaitingSet) -> Reason | None:
+        """Why a trigger is dropped instead of started; None where it is started."""
+        if self._offline:
+            return None
+        if stage.max_age is not None and self._now - entry.stamp > stage.max_age:
+            return Reason.TOO_OLD
+        period = stage.node.degraded_period
+        if period is None or stage.last_stamp is None or not stage.degraded:
+            return None
+        too_soon = entry.stamp < stage.last_stamp + period - entry.gap // 2
+        return Reason.DECIMATED if too_soon else None
+
     def _deadline(self, stage: StageState) -> int:
         """When the oldest set of a stage times out."""
         return INFINITY if stage.sync is None else stage.sync.next_deadline()
 
-    def _next_trigger(self, stage: StageState) -> int | None:
-        """The stamp of the set that the stage could start now, worker and device apart."""
+    def _next_trigger(self, stage: StageState) -> WaitingSet | None:
+        """The trigger of the set that the stage could start now, worker and device apart."""
         if stage.stopped or self._stopping or not stage.free:
             return None
         if stage.sync is not None:
             if not stage.sync.ready(self._now):
                 return None
-            stamp = stage.sync.waiting[0].stamp
+            entry = stage.sync.waiting[0]
         else:
             head = self._head(stage)
             if head is None:
                 return None
-            stamp = head.stamp
+            entry = head
         if stage.blocking and self._blocked(stage):
             return None
         if stage.ladder and ((device := stage.device) is None or device.pending):
             return None
-        return stamp
+        return entry
 
     def _pop_trigger(self, stage: StageState) -> None:
         """Take the trigger that is about to start (or to be dropped) from where it waits."""
@@ -356,17 +396,14 @@ class Scheduler(Streams):
         """
         device = stage.device
         assert device is not None
-        rivals = [
-            rival
+        turns = [
+            (-rival.priority, entry.verdict is Verdict.MAY, rival.last_started, rival.index)
             for rival in device.stages
             if rival is stage
-            or (
-                rival.device is device
-                and not (rival.cpu_steps and not rival.stateless)
-                and self._next_trigger(rival) is not None
-            )
+            or (rival.device is device and not (rival.cpu_steps and not rival.stateless))
+            if (entry := self._next_trigger(rival)) is not None
         ]
-        turn = min(rivals, key=lambda s: (-s.priority, s.last_started, s.index))
+        turn = self._stages[min(turns)[-1]]
         if turn is not stage:
             self._mark(turn)
             return False
@@ -391,14 +428,19 @@ class Scheduler(Streams):
                 self._end(stage, run, "abandoned")
                 self._mark(stage)
                 continue
-            device.begin(run, self._now)
+            device.begin(run, None if self._offline else stage.node.timeout, self._now)
             self._start_step(stage, run, Step.INFER)
         device.wakeup = None
         self._mark_device(device)
 
+    def _serve_next(self, run: Run, step: Step | None) -> None:
+        """An infer is over, and so is what it did to its stage: the device goes on."""
+        if step is Step.INFER:
+            self._serve(self._devices[str(run.device)])
+
     def _next_prepared(self, device: Device) -> ActiveRun | None:
         """The prepared run to infer; there is more than one only after another device died."""
-        prepared = [run for run in device.pending if run.prepared]
+        prepared = [run for run in device.pending if run.prepared and not run.doomed]
         if len(prepared) < 2:
             return prepared[0] if prepared else None
         stage_of = self._by_name
@@ -407,14 +449,47 @@ class Scheduler(Streams):
             key=lambda r: (-stage_of[r.stage].priority, r.stamp, stage_of[r.stage].index),
         )
 
-    def _move(self, run: ActiveRun, lost: Device) -> None:
+    def _hung(self, device: Device) -> None:
+        assert device.inferring is not None
+        text = f"an infer of {device.inferring.stage} does not return; its runs go on elsewhere"
+        self._event("device_hung", device.name, text)
+        self._lose(device, "abandoned")
+
+    def _lose(self, lost: Device, how: str) -> None:
+        """A device is gone. `how` the run that infers on it ends where it has no later rung."""
+        if not lost.up:
+            return
+        moved = list(lost.pending)
+        lost.pending.clear()
+        if lost.inferring is not None:
+            moved.insert(0, self._retire(lost.inferring))
+        lost.lose(self._now)
+        self._event("device_down", lost.name, _goes_on(lost))
+        for run in moved:
+            self._move(run, lost, how if run is moved[0] else "abandoned")
+        for other in self._devices.values():
+            self._serve(other)
+        for stage in lost.stages:
+            if not stage.live and stage.group and not stage.stopped:
+                self._drop_queue(stage, Reason.REPLACED)
+        self._mark_device(lost)
+
+    def _restore(self, device: Device) -> None:
+        device.restore(self._now)
+        self._event("device_up", device.name, "works again; its stages climb back")
+        self._mark_device(device)
+        self._mark_wanted()  # they make room where they were
+
+    def _later_rung(self, run: ActiveRun, lost: Device) -> Device | None:
+        ladder = self._by_name[run.stage].ladder
+        return next((rung for rung in ladder[ladder.index(lost) + 1 :] if rung.up), None)
+
+    def _move(self, run: ActiveRun, lost: Device, how: str) -> None:
         """Take a run whose device is gone to the next rung of its ladder that is up."""
-        stage = self._by_name[run.stage]
-        later = stage.ladder[stage.ladder.index(lost) + 1 :]
-        device = next((rung for rung in later if rung.up), None)
+        device = None if run.doomed else self._later_rung(run, lost)
         if device is None:
             if run.step is None:
-                self._end(stage, run, "abandoned")
+                self._end(self._by_name[run.stage], run, "abandoned" if run.doomed else how)
             else:
                 run.doomed = True
             return
@@ -426,6 +501,7 @@ class Scheduler(Streams):
         stage = self._by_name[run.stage]
         fresh = ActiveRun(run.stage, run.number, run.inputs, run.started)
         fresh.result, fresh.prepared, fresh.prepared_at = run.result, True, self._now
+        fresh.doomed = run.doomed
         stage.runs[stage.runs.index(run)] = fresh
         return fresh
 
@@ -439,6 +515,7 @@ class Scheduler(Streams):
         stage.runs.append(run)
         stage.book.started += 1
         stage.last_started = self._started
+        stage.last_stamp = run.stamp
         self._started += 1
         if inputs.marks:
             stage.book.mark(inputs.marks)
@@ -460,7 +537,9 @@ class Scheduler(Streams):
             self._free_workers -= not inline
         self._starts.append(Start(run, step, inline))
 
-    def _step_over(self, run: Run) -> tuple[ActiveRun | None, StageState, Step | None]:
+    def _step_over(
+        self, run: Run, *, failed: bool = False
+    ) -> tuple[ActiveRun | None, StageState, Step | None]:
         """Free what the step held; the run is None where nobody waits for it any more."""
         assert isinstance(run, ActiveRun)
         stage = self._by_name[run.stage]
@@ -468,8 +547,7 @@ class Scheduler(Streams):
         if step is Step.INFER:
             device = self._devices[str(run.device)]
             if device.inferring is run:
-                device.end(run, self._now)
-                self._serve(device)
+                device.end(run, self._now, failed=failed)
         else:
             stage.cpu_steps -= 1
             if not stage.inline:
@@ -509,7 +587,9 @@ class Scheduler(Streams):
         if not run.outputs:
             return True
         trigger = run.inputs.trigger
-        lineage = _lineage(run.inputs)
+        lineage, degraded = _lineage(run.inputs)
+        if stage.ladder and run.device != stage.ladder[0].name:
+            degraded = True
         messages: list[tuple[OutputPort, Message[Any]]] = []
         for output in run.outputs:
             port = stage.ports[output.port]
@@ -519,7 +599,17 @@ class Scheduler(Streams):
                 stamp = output.stamp
                 begin = stamp if output.begin is None else output.begin
                 end = stamp if output.end is None else output.end
-            message = Message(output.payload, stamp, begin, end, self._now, port.published, lineage)
+            message = Message(
+                output.payload,
+                stamp,
+                begin,
+                end,
+                self._now,
+                port.published,
+                lineage,
+                run.device,
+                degraded,
+            )
             reason = port.refusal(message)
             if reason is None and stamp < trigger.stamp:
                 reason = Refusal.BACKWARD
@@ -556,17 +646,29 @@ class Scheduler(Streams):
                 self._mark(member)
 
 
-def _lineage(inputs: InputSet) -> tuple[Sample, ...]:
-    """The union of the lineages of a set, in the order of the set."""
+def _goes_on(lost: Device) -> str:
+    """What becomes of the stages of a lost device, for people."""
+    fates: dict[str, list[str]] = {}
+    for stage in lost.stages:
+        fate = f"{stage.device.name} takes over" if stage.device else "nothing runs"
+        fates.setdefault(fate, []).append(stage.node.name)
+    return "is lost; " + ", ".join(f"{fate} {' '.join(names)}" for fate, names in fates.items())
+
+
+def _lineage(inputs: InputSet) -> tuple[tuple[Sample, ...], bool]:
+    """The union of the lineages of a set, in the order of the set; whether one is degraded."""
     if len(inputs.values) == 1:
-        return inputs.trigger.lineage
+        return inputs.trigger.lineage, inputs.trigger.degraded
     samples: dict[Sample, None] = {}
+    degraded = False
     for value in inputs.values:
         messages = value if isinstance(value, tuple) else (value,)
         for message in messages:
             if isinstance(message, tuple):  # a span on a port of several edges
                 for one in message:
                     samples.update(dict.fromkeys(one.lineage))
+                    degraded |= one.degraded
             elif message is not None:
                 samples.update(dict.fromkeys(message.lineage))
-    return tuple(samples)
+                degraded |= message.degraded
+    return tuple(samples), degraded

@@ -14,6 +14,7 @@ from pipeline.scheduling.ledger import RunBook
 from pipeline.scheduling.queue import TriggerQueue
 from pipeline.scheduling.sync import Synchronizer, WaitingSet
 from pipeline.scheduling.topology import StageNode
+from pipeline.scheduling.wanted import Rhythm, Wishes
 
 
 class ActiveRun(Run):
@@ -67,11 +68,13 @@ class StageState:
         "cpu_steps",
         "dirty",
         "finishing",
+        "frames",
         "group",
         "index",
         "inline",
         "inputs",
         "ladder",
+        "last_stamp",
         "last_started",
         "max_age",
         "max_in_flight",
@@ -87,9 +90,9 @@ class StageState:
         "stopped",
         "sync",
         "synced_edges",
-        "trigger_gap",
         "trigger_last",
         "watched",
+        "wishes",
     )
 
     queue: TriggerQueue
@@ -117,11 +120,13 @@ class StageState:
         self.book = RunBook()
         self.next_number = 0
         self.last_started = -1
+        self.last_stamp: int | None = None  #: of the trigger of the last started run
         self.stopped = False
         self.dirty = False
         self.watched = False  #: somebody downstream looks at this stage's bounds
         self.trigger_last: int | None = None
-        self.trigger_gap: int | None = None
+        self.wishes: Wishes | None = None  #: with `wanted`: what is wished of it (of its group)
+        self.frames = Rhythm()  #: with `wanted`: of its trigger
         self.prepare_ns = 0  #: the greatest of the last measured prepare times
         self._prepare_times: deque[int] = deque(maxlen=HISTORY)
 
@@ -131,12 +136,22 @@ class StageState:
         return not self.stopped and (not self.ladder or self.device is not None)
 
     @property
+    def expecting(self) -> bool:
+        """A frame may still come that it would take."""
+        return not self.stopped and self.producer is not None and not self.producer.origin.ended
+
+    @property
     def device(self) -> Device | None:
         """The first rung of the ladder that is up."""
         for device in self.ladder:
             if device.up:
                 return device
         return None
+
+    @property
+    def degraded(self) -> bool:
+        """A run started now would be on a lower rung."""
+        return self.device is not None and self.device is not self.ladder[0]
 
     @property
     def idle(self) -> bool:

@@ -13,8 +13,9 @@ from pipeline.scheduling.bounds import INFINITY, OutputPort
 from pipeline.scheduling.edges import Edge
 from pipeline.scheduling.events import Observer, Reason
 from pipeline.scheduling.stages import StageState
-from pipeline.scheduling.sync import FIRST_WAIT_NS, MAX_WAITING, Slot, Synchronizer, WaitingSet
+from pipeline.scheduling.sync import MAX_WAITING, Slot, Synchronizer, WaitingSet
 from pipeline.scheduling.topology import Policy, Topology
+from pipeline.scheduling.wanted import Verdict
 from pipeline.scheduling.wiring import wire
 
 
@@ -32,6 +33,7 @@ class Streams:
         self._by_name = {stage.node.name: stage for stage in self._stages}
         self._ports = wiring.ports
         self._devices = wiring.devices
+        self._wanted = [stage for stage in self._stages if stage.wishes is not None]
 
     # ------------------------------------------------------------------ messages
 
@@ -40,6 +42,9 @@ class Streams:
         output.last = message.stamp
         output.published += 1
         self._observer.published(output.port, message, self._now)
+        if output.rhythm is not None:
+            output.rhythm.add(message.stamp, self._now)
+            self._mark_wanted()
         for edge in output.edges:
             edge.book.produced += 1
             stage = edge.target
@@ -67,24 +72,40 @@ class Streams:
     def _arrive(self, edge: Edge, message: Message[Any]) -> None:
         """A trigger arrives at its stage: into its queue, or its group's undecided frame."""
         stage = edge.target
-        if stage.trigger_last is not None:
-            stage.trigger_gap = message.stamp - stage.trigger_last
-        stage.trigger_last = message.stamp
-        gap = stage.trigger_gap
-        entry = WaitingSet(message, self._now, FIRST_WAIT_NS if gap is None else 2 * gap)
+        last, stage.trigger_last = stage.trigger_last, message.stamp
+        entry = WaitingSet(message, self._now, 0 if last is None else message.stamp - last)
         if stage.sync is not None:
             stage.sync.arrived(entry)
-        if stage.group is not None:
+        if stage.wishes is not None and not self._wants(stage, entry):
+            self._drop(edge, message, Reason.NOT_WANTED)
+        elif stage.group is not None:
             replaced = stage.group.undecided.get(stage.index)
             stage.group.undecided[stage.index] = entry
             if replaced is not None:
-                self._drop(edge, replaced.message, Reason.REPLACED)
+                self._drop_trigger(stage, replaced, Reason.REPLACED)
         else:
             lost = stage.queue.put(entry)
             if lost is not None:
-                self._drop(edge, lost[0].message, lost[1])
+                self._drop_trigger(stage, *lost)
         self._triggers_changed(stage)
         self._mark(stage)
+
+    def _wants(self, stage: StageState, entry: WaitingSet) -> bool:
+        """Judge a frame that arrives at a stage with `wanted` (README, section 10)."""
+        assert stage.wishes is not None
+        stage.frames.add(entry.stamp, self._now)
+        self._mark_wanted()
+        entry.verdict = stage.wishes.verdict(stage.frames)
+        if entry.verdict is not Verdict.MAY or self._offline:
+            return entry.verdict is not Verdict.NO
+        held = stage.undecided() if stage.group else next(iter(stage.queue.entries), None)
+        return held is None or held.verdict is Verdict.MAY
+
+    def _mark_wanted(self) -> None:
+        """What is predicted changed: a frame that had to make way may have the time now."""
+        if not self._offline:
+            for stage in self._wanted:
+                self._mark(stage)
 
     def _deliver_slots(self, stage: StageState, sync: Synchronizer) -> None:
         """Book every message of the set that was just taken: delivered once, then reused."""
@@ -104,6 +125,15 @@ class Streams:
             edge.origin.port, edge.target.node.name, edge.input.name, message, reason, self._now
         )
 
+    def _drop_trigger(self, stage: StageState, entry: WaitingSet, reason: Reason) -> None:
+        """Drop a trigger that was held; a missed wish is told."""
+        assert stage.producer is not None
+        self._drop(stage.producer, entry.message, reason)
+        missed = (Reason.REPLACED, Reason.TOO_OLD, Reason.DECIMATED)
+        if entry.verdict is Verdict.MUST and reason in missed:
+            text = f"the frame at stamp {entry.stamp} was wanted and ended {reason}"
+            self._observer.event("wish_missed", stage.node.name, text, self._now)
+
     # ------------------------------------------------------------------ bounds
 
     def _raise(self, output: OutputPort, bound: int) -> None:
@@ -112,6 +142,8 @@ class Streams:
             return
         output.bound = bound
         ended = bound >= INFINITY
+        if ended:
+            self._mark_wanted()
         for edge in output.edges:
             stage = edge.target
             if stage.stopped:
@@ -154,12 +186,31 @@ class Streams:
 
     def _head(self, stage: StageState) -> WaitingSet | None:
         """The next trigger of a stage; an undecided frame counts once its group can decide."""
-        if stage.queue.entries:
-            return stage.queue.entries[0]
         group = stage.group
-        if group is not None and stage.live and group.decidable():
-            return group.undecided.get(stage.index)
-        return None
+        entry: WaitingSet | None = None
+        if stage.queue.entries:
+            entry = stage.queue.entries[0]
+            if group is not None:  # decided for: not asked again
+                return entry
+        elif group is not None and stage.live and group.decidable():
+            entry = group.undecided.get(stage.index)
+        if entry is None or entry.verdict is not Verdict.MAY or self._offline:
+            return entry
+        return entry if self._has_time(stage, entry.stamp) else None
+
+    def _has_time(self, stage: StageState, stamp: int) -> bool:
+        """Whether a run on a frame that nobody must have ends before the next one that must be."""
+        takers = [s for s in stage.group.members if s.live] if stage.group else [stage]
+        for device in {taker.device for taker in takers} - {None}:
+            assert device is not None
+            used = sum(device.usual_ns(s.node.name) for s in takers if s.device is device)
+            for rival in device.stages:
+                if rival.wishes is None or rival.device is not device or not rival.expecting:
+                    continue
+                due = rival.wishes.next_must(rival.frames, stamp)
+                if due is not None and device.free_at(self._now) + used > due:
+                    return False
+        return True
 
     def _pop_head(self, stage: StageState) -> WaitingSet:
         """Take the next trigger out of the queue; decides the group's frame if it must."""
@@ -190,8 +241,7 @@ class Streams:
             if member.live:
                 member.queue.entries.append(entry)
             else:
-                assert member.producer is not None
-                self._drop(member.producer, entry.message, Reason.REPLACED)
+                self._drop_trigger(member, entry, Reason.REPLACED)
                 self._triggers_changed(member)
             self._mark(member)
 
@@ -221,8 +271,7 @@ class Streams:
             self._observer.event("stale", name, text, self._now)
 
     def _trigger_lost(self, stage: StageState, entry: WaitingSet, reason: Reason) -> None:
-        assert stage.producer is not None
-        self._drop(stage.producer, entry.message, reason)
+        self._drop_trigger(stage, entry, reason)
         self._triggers_changed(stage)
         self._mark(stage)
 
@@ -230,11 +279,10 @@ class Streams:
 
     def _drop_queue(self, stage: StageState, reason: Reason) -> None:
         """Drop the triggers that no set has taken."""
-        assert stage.producer is not None
         lost = list(stage.queue.entries)
         stage.queue.entries.clear()
         for entry in lost:
-            self._drop(stage.producer, entry.message, reason)
+            self._drop_trigger(stage, entry, reason)
         self._made_room(stage)
         self._triggers_changed(stage)
 

@@ -15,6 +15,7 @@ from pipeline.message import MAX_EXTENT_NS, Message
 from pipeline.scheduling.bounds import INFINITY, NEVER
 from pipeline.scheduling.events import InputSet, Mark, Reason, Value
 from pipeline.scheduling.topology import Input, Missing, Sync
+from pipeline.scheduling.wanted import Verdict
 
 #: Sets that may wait; one more forces the oldest. Four cover a lag of four trigger periods.
 MAX_WAITING = 4
@@ -30,14 +31,16 @@ OnDrop = Callable[["Slot", Message[Any], Reason], None]
 class WaitingSet:
     """A trigger that waits for its set."""
 
-    __slots__ = ("arrived", "exact_wait", "forced", "message", "stamp")
+    __slots__ = ("arrived", "exact_wait", "forced", "gap", "message", "stamp", "verdict")
 
-    def __init__(self, message: Message[Any], arrived: int, exact_wait: int) -> None:
+    def __init__(self, message: Message[Any], arrived: int, gap: int = 0) -> None:
         self.message = message
         self.stamp = message.stamp
         self.arrived = arrived
-        self.exact_wait = exact_wait
+        self.gap = gap  #: to the trigger that arrived before; 0 without one
+        self.exact_wait = 2 * gap or FIRST_WAIT_NS
         self.forced = False
+        self.verdict = Verdict.EVERY
 
 
 class Slot:

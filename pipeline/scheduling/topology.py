@@ -92,6 +92,9 @@ class StageNode:
     stateless: bool = False
     on_error: OnError = OnError.STOP
     min_period: int | None = None  #: a source's promise, ns
+    wanted: bool = False  #: run on the frames that somebody downstream will choose
+    timeout: int | None = None  #: the longest infer, ns; None: by what was measured
+    degraded_period: int | None = None  #: the least distance of stamps on a lower rung, ns
 
     @property
     def is_source(self) -> bool:
@@ -111,7 +114,8 @@ class Topology:
     """A whole graph for the scheduler; `stages` in the order of the file, which breaks all ties."""
 
     stages: tuple[StageNode, ...]
-    workers: int = 2  #: CPU workers: as many as cores
+    workers: int = 2  #: CPU workers: one more than cores
+    check_every: int = 1_000_000_000  #: the first pause before a lost device is checked, ns
 
     def stage(self, name: str) -> StageNode:
         for stage in self.stages:

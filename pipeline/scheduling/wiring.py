@@ -15,6 +15,7 @@ from pipeline.scheduling.queue import TriggerQueue
 from pipeline.scheduling.stages import SelectGroup, StageState
 from pipeline.scheduling.sync import Slot, Synchronizer
 from pipeline.scheduling.topology import Policy, Port, StageNode, Sync, Topology
+from pipeline.scheduling.wanted import MustWish, Rhythm, Wishes
 
 #: Told of a message that ends unused on an edge.
 OnDrop = Callable[[Edge, Message[Any], Reason], None]
@@ -33,7 +34,8 @@ def wire(topology: Topology, on_drop: OnDrop, *, offline: bool) -> Wiring:
     """The initial state of a graph."""
     wiring = Wiring()
     for index, node in enumerate(topology.stages):
-        wiring.stages.append(_stage(wiring, StageState(index, node), node))
+        stage = StageState(index, node)
+        wiring.stages.append(_stage(wiring, stage, node, topology.check_every))
     groups: dict[tuple[Port, str], SelectGroup] = {}
     for stage in wiring.stages:
         if stage.node.inputs:
@@ -46,16 +48,17 @@ def wire(topology: Topology, on_drop: OnDrop, *, offline: bool) -> Wiring:
             if edge.slot is None and edge.input.policy is Policy.BLOCK and not offline
         ]
     _watch(wiring.stages)
+    _wish(wiring.stages)
     return wiring
 
 
-def _stage(wiring: Wiring, stage: StageState, node: StageNode) -> StageState:
+def _stage(wiring: Wiring, stage: StageState, node: StageNode, check_every: int) -> StageState:
     for name in node.outputs:
         output = OutputPort(Port(node.name, name), node.min_period)
         stage.ports.append(output)
         wiring.ports[output.port] = output
     for name in node.devices:
-        device = wiring.devices.setdefault(name, Device(name))
+        device = wiring.devices.setdefault(name, Device(name, check_every))
         device.stages.append(stage)
         stage.ladder.append(device)
     return stage
@@ -114,3 +117,39 @@ def _watch(stages: list[StageState]) -> None:
                 for edge in port.edges
             )
             changed |= stage.watched
+
+
+def _wish(stages: list[StageState]) -> None:
+    """Let wishes travel up to the stages that run on wanted frames only."""
+    by_name = {stage.node.name: stage for stage in stages}
+
+    def root(stage: StageState) -> OutputPort:
+        """The source port at the end of a stage's chain of triggers."""
+        while stage.producer is not None:
+            port = stage.producer.origin
+            stage = by_name[port.port.stage]
+        return port
+
+    def collect(stage: StageState, wishes: Wishes) -> None:
+        """Add what the inputs downstream of a stage wish of it."""
+        for edge in [edge for port in stage.ports for edge in port.edges]:
+            rule, origin = edge.input, root(edge.target)
+            if rule.sync is Sync.SPAN:
+                wishes.all = True
+            elif rule.sync is Sync.TRIGGER and edge.target.node.wanted:
+                collect(edge.target, wishes)
+            elif rule.sync is Sync.TRIGGER or origin is root(stage):
+                wishes.may = True
+            else:
+                origin.rhythm = origin.rhythm or Rhythm()
+                wish = MustWish(origin.rhythm, rule.sync, rule.tolerance, rule.offset)
+                if wish not in wishes.musts:
+                    wishes.musts.append(wish)
+
+    groups: dict[object, Wishes] = {}
+    for stage in stages:
+        if stage.node.wanted and stage.producer is not None:
+            group = (stage.producer.origin.port, stage.node.trigger.select)
+            key = stage.node.name if group[1] is None else group
+            stage.wishes = groups.setdefault(key, Wishes())
+            collect(stage, stage.wishes)

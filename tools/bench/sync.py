@@ -19,7 +19,7 @@ from time import perf_counter, perf_counter_ns
 from typing import Any
 
 from pipeline.message import Message
-from pipeline.scheduling.sync import FIRST_WAIT_NS, Synchronizer, WaitingSet
+from pipeline.scheduling.sync import Synchronizer, WaitingSet
 from pipeline.scheduling.topology import Input, Port, Sync
 from tools.bench.approximate_time import ApproximateTime
 from tools.bench.harness import Effort, Latency, Row, interleave, quantile, ratio
@@ -113,7 +113,7 @@ def play(synchronizer: Synchronizer, events: Events) -> Iterator[tuple[Any, ...]
                 continue
         else:
             least = message.stamp + 1
-            entry = WaitingSet(message, now, FIRST_WAIT_NS)
+            entry = WaitingSet(message, now)
             synchronizer.arrived(entry)
             synchronizer.open(entry)
         while synchronizer.ready(now):
@@ -168,7 +168,7 @@ def decisions(rule: Input, queued: int, count: int) -> list[float]:
         while len(slot) < queued or slot.stamps[-1] < trigger.stamp + TOLERANCE_MS * MS:
             synchronizer.offer(slot, next(ahead), 0)
         started = perf_counter_ns()
-        entry = WaitingSet(trigger, trigger.received, FIRST_WAIT_NS)
+        entry = WaitingSet(trigger, trigger.received)
         synchronizer.arrived(entry)
         synchronizer.open(entry)
         if not synchronizer.ready(trigger.received):

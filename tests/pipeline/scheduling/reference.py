@@ -1,7 +1,8 @@
 """The scheduler by definition: the rules of pipeline/scheduling/README.md, brute force.
 
-`reference_streams` holds what happens to messages (sections 1 to 5 and 9); here is what is started
-where, and how it ends (sections 6 to 8). After every event all rules are applied until nothing
+`reference_streams` holds what happens to messages (sections 1 to 5 and 9), `reference_devices` when
+a device is free or lost (7), `reference_wanted` which frames are wanted (10); here is what is
+started where, and how it ends (6 to 8). After every event all rules are applied until nothing
 changes any more.
 """
 
@@ -10,19 +11,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import inf
-from statistics import median_high
 from typing import Any, TypeAlias
 
-from reference_streams import WAITING_SETS, Item, Job, Streams
+from reference_streams import WAITING_SETS, Item, Job
+from reference_wanted import Wanted
 
 from pipeline.message import Message, Sample
-from pipeline.scheduling.events import Output, Reason, Refusal, Run, Start, Step
+from pipeline.scheduling.events import Check, Output, Reason, Refusal, Run, Start, Step
 from pipeline.scheduling.topology import OnError, Port, StageNode
 
-Wish: TypeAlias = tuple[StageNode, Job | Item]
+Offer: TypeAlias = tuple[StageNode, Job | Item]
 
 
-class ReferenceScheduler(Streams):
+class ReferenceScheduler(Wanted):
     """What `Scheduler` must do, event by event."""
 
     # What drivers call
@@ -39,10 +40,9 @@ class ReferenceScheduler(Streams):
         return self._act()
 
     def step_done(self, run: Run, now: int, outputs: Sequence[Output] | None = None) -> list[Start]:
-        job = self._running(run)
+        self.now, job = now, self._running(run)
         if job is None:
-            return []
-        self.now = now
+            return self._act()
         self.took.append((run.stage, job.step, run.device, now - job.since))
         job.running, job.outputs = False, outputs or ()
         if job.step in (Step.PROCESS, Step.FINISH):
@@ -52,10 +52,10 @@ class ReferenceScheduler(Streams):
         return self._step_over(job)
 
     def step_failed(self, run: Run, now: int) -> list[Start]:
-        job = self._running(run)
+        self.now, job = now, self._running(run)
         if job is None:
-            return []
-        self.now, job.running, job.how = now, False, "failed"
+            return self._act()
+        job.running, job.how = False, "failed"
         return self._step_over(job)
 
     def _running(self, run: Run) -> Job | None:
@@ -68,9 +68,12 @@ class ReferenceScheduler(Streams):
         self._leave(self.node[job.run.stage])
         return self._act()
 
-    def time(self, now: int) -> list[Start]:
+    def time(self, now: int) -> list[Start | Check]:
         self.now = now
-        return self._act()
+        for device in self._hung():
+            self.observer.event("device_hung", device, "", now)
+            self._lose(device)
+        return [*self._act(), *self._checks()]
 
     def source_ended(self, stage: str, now: int) -> list[Start]:
         self.now = now
@@ -79,20 +82,25 @@ class ReferenceScheduler(Streams):
 
     def device_up(self, device: str, now: int) -> list[Start]:
         self.now = now
-        self.down.discard(device)
+        if device in self.down:
+            self._comes_up(device)
+        return self._act()
+
+    def device_checked(self, device: str, ok: bool, now: int) -> list[Start]:
+        self.now = now
+        self._checked(device, ok)
         return self._act()
 
     def device_down(self, device: str, now: int) -> list[Start]:
         self.now = now
-        self.down.add(device)
-        for node in self.nodes:
-            for job in self._in_flight(node):
-                if job.run.device == device and self._needs_device(job):
-                    self._leave_device(node, job)
-            self._leave(node)
-            if not node.is_source and not self._live(node):
-                for frame in self._trigger(node).held("decided"):
-                    self._drop(self._trigger(node), frame, Reason.REPLACED)
+        self._lose(device)
+        return self._act()
+
+    def device_failed(self, run: Run, now: int) -> list[Start]:
+        self.now, job = now, self._running(run)
+        if job is not None and job.step is Step.INFER:
+            self.observer.event("device_failed", str(run.device), "", now)
+            self._lose(str(run.device), job)
         return self._act()
 
     def stop(self, now: int) -> list[Start]:
@@ -116,13 +124,16 @@ class ReferenceScheduler(Streams):
         return not any(job.running for jobs in self.jobs.values() for job in jobs)
 
     def next_wakeup(self) -> int | None:
+        only_time = [self._overdue_at(device) for device in self.devices]
+        only_time += [] if self.stopping else self.check_due.values()
         instants: list[float] = []
         for node in self.nodes:
             for edge in self._slots(node):
                 instants += [self._deadline(edge, t) for t in self._trigger(node).held("waiting")]
             if (device := self._device(node)) is not None:
                 instants.append(self._free_at(device) - self._prepare_time(node))
-        return min((int(at) for at in instants if self.now < at < inf), default=None)
+        instants = only_time + [at for at in instants if self.now < at]
+        return min((int(at) for at in instants if at < inf), default=None)
 
     # 6. Starting
 
@@ -170,31 +181,29 @@ class ReferenceScheduler(Streams):
             for job in self._in_flight(node)
             if job.running and job.step is not Step.INFER and not node.inline
         ]
-        wishes = list(self._wishes(worker_free=len(busy) < self.workers))
-        for device in {self._device(node) for node, wish in wishes if isinstance(wish, Item)} - {
-            None
-        }:
+        offers = list(self._offers(worker_free=len(busy) < self.workers))
+        for device in self.devices:
             rivals = [
-                n for n, wish in wishes if isinstance(wish, Item) and self._device(n) == device
+                (n, item)
+                for n, item in offers
+                if isinstance(item, Item) and self._device(n) == device
             ]
-            first = min(
-                rivals, key=lambda n: (-n.priority, self._last_turn(n), self.nodes.index(n))
-            )
-            in_time = self._in_time(first)
-            wishes = [
-                (n, w)
-                for n, w in wishes
-                if n not in rivals or isinstance(w, Job) or (n is first and in_time)
-            ]
-        for node, wish in sorted(wishes, key=self._urgency)[:1]:
-            if isinstance(wish, Job):
-                starts.append(self._begin(node, wish))
+            turns = sorted(rivals, key=self._turn)
+            in_time = turns[:1] if turns and self._in_time(turns[0][0]) else []
+            offers = [offer for offer in offers if offer not in rivals or offer in in_time]
+        for node, offer in sorted(offers, key=self._urgency)[:1]:
+            if isinstance(offer, Job):
+                starts.append(self._begin(node, offer))
             else:
-                self._start_run(node, wish, starts)
+                self._start_run(node, offer, starts)
             return True
         return False
 
-    def _wishes(self, worker_free: bool) -> Iterator[Wish]:
+    def _turn(self, rival: tuple[StageNode, Item]) -> tuple[int, bool, int, int]:
+        node, item = rival
+        return -node.priority, item.verdict == "may", self._last_turn(node), self.nodes.index(node)
+
+    def _offers(self, worker_free: bool) -> Iterator[Offer]:
         for node in self.nodes:
             jobs = self._in_flight(node)
             stepping = any(job.running and job.step is not Step.INFER for job in jobs)
@@ -209,8 +218,8 @@ class ReferenceScheduler(Streams):
             if item is not None:
                 yield node, item
 
-    def _urgency(self, wish: Wish) -> tuple[bool, int, bool, int, int]:
-        node, what = wish
+    def _urgency(self, offer: Offer) -> tuple[bool, int, bool, int, int]:
+        node, what = offer
         stamp = what.stamp if isinstance(what, Job) else what.s
         return (
             not node.inline,
@@ -225,6 +234,9 @@ class ReferenceScheduler(Streams):
         self._take(node, item)
         if self._too_old(node, item.s):
             self._drop(trigger, item, Reason.TOO_OLD)
+            return
+        if self._too_soon(node, item):
+            self._drop(trigger, item, Reason.DECIMATED)
             return
         choice = self._choose(node, item)
         assert choice is not None
@@ -249,6 +261,13 @@ class ReferenceScheduler(Streams):
         limit = self._trigger(node).input.max_age
         return not self.offline and limit is not None and self.now - stamp > limit
 
+    def _too_soon(self, node: StageNode, item: Item) -> bool:
+        """On a lower rung a stage may have a longer period."""
+        jobs, period = self.jobs[node.name], node.degraded_period
+        if period is None or not jobs or self._device(node) in (None, *node.devices[:1]):
+            return False
+        return item.s < jobs[-1].stamp + period - item.gap // 2
+
     # 7. Devices
 
     def _infer(self, starts: list[Start]) -> bool:
@@ -268,40 +287,20 @@ class ReferenceScheduler(Streams):
                 return True
         return False
 
-    def _device_lets(self, node: StageNode) -> bool:
-        device = self._device(node)
-        going = (job for job in self._all_in_flight() if job is not self._inferring(device))
-        next_runs = [job for job in going if job.run.device == device and self._needs_device(job)]
-        return device is not None and not next_runs
-
-    def _in_time(self, node: StageNode) -> bool:
-        device = self._device(node)
-        assert device is not None
-        return self.offline or self._free_at(device) - self._prepare_time(node) <= self.now
-
-    def _needs_device(self, job: Job) -> bool:
-        return job.step in (Step.PREPARE, Step.INFER) and not job.how
-
-    def _inferring(self, device: str | None) -> Job | None:
-        going = (j for j in self._all_in_flight() if j.running and j.step is Step.INFER)
-        return next((job for job in going if job.run.device == device), None)
-
-    def _free_at(self, device: str) -> int:
-        job = self._inferring(device)
-        if job is None:
-            return self.now
-        key = (job.run.stage, Step.INFER, device)
-        lasted = [took for *which, took in self.took if tuple(which) == key]
-        return job.since + (median_high(lasted[-8:]) if lasted else 0)
-
-    def _prepare_time(self, node: StageNode) -> int:
-        lasted = [
-            took for stage, step, _, took in self.took if (stage, step) == (node.name, Step.PREPARE)
-        ]
-        return max(lasted[-8:], default=0)
-
-    def _last_turn(self, node: StageNode) -> int:
-        return max((turn for turn, name in enumerate(self.turns) if name == node.name), default=-1)
+    def _lose(self, device: str, failed: Job | None = None) -> None:
+        if device in self.down:
+            return
+        self._goes_down(device)
+        for node in self.nodes:
+            for job in self._in_flight(node):
+                if job.run.device == device and self._needs_device(job):
+                    self._leave_device(node, job)
+                    if job is failed and job.how and node.name not in self.stopped:
+                        job.how = "failed"
+            self._leave(node)
+            if not node.is_source and not self._live(node):
+                for frame in self._trigger(node).held("decided"):
+                    self._drop(self._trigger(node), frame, Reason.REPLACED)
 
     def _leave_device(self, node: StageNode, job: Job) -> None:
         """The job's device is lost: on to a later rung, or given up."""
@@ -360,8 +359,14 @@ class ReferenceScheduler(Streams):
         if stamp is None:
             stamp, begin, end = trigger.stamp, trigger.begin, trigger.end
         message = Message.at(stamp, output.payload, begin=begin, end=end, received=self.now)
-        union = {sample: None for used in self._messages(job.run.inputs) for sample in used.lineage}
-        return replace(message, lineage=tuple(union))
+        used = self._messages(job.run.inputs)
+        lower = job.run.device is not None and job.run.device != node.devices[0]
+        return replace(
+            message,
+            lineage=tuple({sample: None for one in used for sample in one.lineage}),
+            executor=job.run.device,
+            degraded=lower or any(one.degraded for one in used),
+        )
 
     def runs(self) -> dict[str, dict[str, int]]:
         books = {}

@@ -32,7 +32,9 @@ class Item:
     place: str = ""  #: one of HELD_TRIGGER, "slot", or "": not held
     fate: Reason | None = None
     uses: int = 0
-    exact_wait: int = DEFAULT_WAIT
+    kept: bool = False  #: it came to its trigger or slot: not decimated on the edge, nor too late
+    gap: int = 0  #: to the one kept before
+    verdict: str = ""  #: at a `wanted` trigger: "every", "must", "may" or "no"
 
 
 @dataclass(eq=False)
@@ -68,10 +70,13 @@ class Job:
 
 @dataclass
 class Outlet:
-    last: float = -inf
     bound: float = -inf
-    count: int = 0
+    stamps: list[int] = field(default_factory=list)  #: of all that it took
     promised: bool = True
+
+    @property
+    def last(self) -> float:
+        return self.stamps[-1] if self.stamps else -inf
 
 
 class Choice(NamedTuple):
@@ -101,9 +106,7 @@ class Streams:
         self.stopped: set[str] = set()  # stages
         self.down: set[str] = set()  # devices
         self.stopping = False
-        self.now = 0  # of the last event that was not ignored
-        self.turns: list[str] = []  # the stage of every run, in the order of their starts
-        self.took: list[tuple[str, Step, str | None, int]] = []  # measured step times
+        self.now = 0
 
     # 1. Ports
 
@@ -139,8 +142,8 @@ class Streams:
 
     def _send(self, port: Port, message: Message[Any]) -> None:
         outlet = self.outlets[port]
-        message = replace(message, seq=outlet.count)
-        outlet.last, outlet.count = message.stamp, outlet.count + 1
+        message = replace(message, seq=len(outlet.stamps))
+        outlet.stamps.append(message.stamp)
         promise = self.node[port.stage].min_period if outlet.promised else None
         outlet.bound = max(outlet.bound, message.stamp + (promise or 1))
         self.observer.published(port, message, self.now)
@@ -151,7 +154,7 @@ class Streams:
     def _arrive(self, edge: Edge, item: Item) -> None:
         before, entry = edge.items[:], edge.input
         edge.items.append(item)
-        kept = [other.s for other in before if other.fate is not Reason.DECIMATED]
+        kept = [other.s for other in before if other.kept]
         if edge.node.name in self.stopped:
             self._drop(edge, item, Reason.STAGE_STOPPED)
         elif self.stopping:
@@ -162,23 +165,26 @@ class Streams:
             and item.s < kept[-1] + entry.period - (item.s - before[-1].s) // 2
         ):
             self._drop(edge, item, Reason.DECIMATED)
-        elif entry.sync is Sync.TRIGGER:
-            if kept:
-                item.exact_wait = 2 * (item.s - kept[-1])
-            self._enqueue(edge, item)
         else:
-            item.place = "slot"
-            if edge.stale and item.s > max(self._timed_out_triggers(edge), default=-inf):
-                edge.stale = False
-                self.observer.event("recovered", str(edge.source), "", self.now)
-            if len(edge.held("slot")) > self._cap(edge):
-                self._drop(edge, edge.held("slot")[0], Reason.QUEUE_FULL)
+            item.kept, item.gap = True, item.s - kept[-1] if kept else 0
+            if entry.sync is Sync.TRIGGER:
+                self._enqueue(edge, item)
+            else:
+                self._into_slot(edge, item)
+
+    def _into_slot(self, edge: Edge, item: Item) -> None:
+        item.place = "slot"
+        if edge.stale and item.s > max(self._timed_out_triggers(edge), default=-inf):
+            edge.stale = False
+            self.observer.event("recovered", str(edge.source), "", self.now)
+        if len(edge.held("slot")) > self._cap(edge):
+            self._drop(edge, edge.held("slot")[0], Reason.QUEUE_FULL)
 
     def _cap(self, edge: Edge) -> float:
         return inf if self.offline else SPAN_CAP if edge.input.sync is Sync.SPAN else CAP
 
     def _timed_out_triggers(self, edge: Edge) -> list[int]:
-        arrivals = (t for t in self._trigger(edge.node).items if t.fate is not Reason.DECIMATED)
+        arrivals = (t for t in self._trigger(edge.node).items if t.kept)
         return [t.s for t in arrivals if self._deadline(edge, t) <= self.now]
 
     def _drop(self, edge: Edge, item: Item, reason: Reason) -> None:
@@ -219,13 +225,16 @@ class Streams:
             for edge in self.edges
         )
 
+    def _group(self, edge: Edge) -> list[Edge]:
+        """The trigger edges that take the same frames as this one; itself without `select`."""
+        if edge.input.select is None:
+            return [edge]
+        of = edge.source, edge.input.select
+        return [other for other in self.edges if (other.source, other.input.select) == of]
+
     def _members(self, edge: Edge) -> list[Edge]:
-        """The trigger edges of a group's live members."""
-        return [
-            other
-            for other in map(self._trigger, filter(self._live, self.nodes))
-            if (other.source, other.input.select) == (edge.source, edge.input.select)
-        ]
+        """Those of a group's live members."""
+        return [other for other in self._group(edge) if self._live(other.node)]
 
     def _live(self, node: StageNode) -> bool:
         if node.is_source or node.name in self.stopped:
@@ -243,24 +252,20 @@ class Streams:
         """Taking an undecided frame decides it for its group."""
         if item.place != "undecided":
             return
-        edge, live = self._trigger(node), self._members(self._trigger(node))
-        for other in self.edges:
-            if (other.source, other.input.select) == (edge.source, edge.input.select):
-                for frame in other.held("undecided"):
-                    if other in live:
-                        frame.place = "decided"
-                    else:
-                        self._drop(other, frame, Reason.REPLACED)
+        for edge in self._group(self._trigger(node)):
+            for frame in edge.held("undecided"):
+                if self._live(edge.node):
+                    frame.place = "decided"
+                else:
+                    self._drop(edge, frame, Reason.REPLACED)
 
     # 5. Sync slots
 
     def _deadline(self, edge: Edge, trigger: Item) -> float:
         wait = edge.input.max_wait
-        return (
-            inf
-            if self.offline
-            else trigger.arrived + (trigger.exact_wait if wait is None else wait)
-        )
+        if wait is None:
+            wait = 2 * trigger.gap or DEFAULT_WAIT
+        return inf if self.offline else trigger.arrived + wait
 
     def _verdict(self, edge: Edge, T: int, lo: int, hi: int) -> tuple[bool, list[Item]]:
         """Whether the slot is settled, and the best that it has."""

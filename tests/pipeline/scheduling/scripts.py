@@ -1,12 +1,13 @@
 """Random graphs and flights for the scheduler, as plain values that print as a reproducer.
 
 A `Script` is a topology and everything that happens to it: arrivals, how long every step takes and
-what it says, ends of sources, devices that come and go, a stop. `virtual_time.drive` plays it.
+what it says, ends of sources, devices that come and go, what checks answer, a stop.
+`virtual_time.drive` plays it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from hypothesis import settings
@@ -54,9 +55,12 @@ class Behavior:
     later: int = 1  #: how far "later" lies after the trigger's stamp
 
 
-#: all ports, the first port, None, raise at the end, raise in the first step, an own later stamp,
-#: a stamp below the trigger's
-SAYINGS = ("all", "one", "none", "raise", "raise early", "later", "below")
+#: all ports, the first port, None, raise at the end, in the first step or in infer, an own later
+#: stamp, a stamp below the trigger's, all ports after the infer lost the first rung, or every rung
+SAYINGS = (
+    *("all", "one", "none", "raise", "raise early", "raise infer", "later", "below"),
+    *("lost", "lost", "lost", "lost all"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,10 @@ class Script:
     offline: bool = False
     steps_first: bool = True  #: of what happens at one instant, the ends of steps come first
     patient: bool = True  #: a source waits until it is ready
+    checks: tuple[tuple[int, bool], ...] = ()  #: how long each takes and what it says; then yes
+
+    def check(self, number: int) -> tuple[int, bool]:
+        return self.checks[number] if number < len(self.checks) else (1, True)
 
     def __str__(self) -> str:
         lines = [f"offline={self.offline} workers={self.topology.workers}"]
@@ -82,6 +90,7 @@ class Script:
             lines.append(f"stage {node.name}: {_differences(node)}")
             lines += [f"    {entry.name}: {_differences(entry)}" for entry in node.inputs]
             lines += [f"    {_differences(self.behaviors[node.name])}"] if node.inputs else []
+        lines.append(f"checks={self.checks} each {self.topology.check_every}")
         return "\n".join([*lines, *map(str, self.arrivals), *map(str, self.happenings)])
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
@@ -117,6 +126,7 @@ DECIMATED = often(None, st.integers(5, 25), share=5)
 OFFSET = often(0, st.integers(-6, 6))
 RARE_LIMIT = often(None, st.integers(0, 40))
 RARELY = often(False, st.just(True))
+OFTEN = often(True, st.just(False))
 SELECT = often(None, st.just("frames"), share=1)
 SIZE, MAX_IN_FLIGHT = st.integers(1, 3), st.sampled_from([1, 1, 2, 3])
 PRIORITY = often(0, st.integers(-1, 1))
@@ -134,7 +144,16 @@ STEPS = st.lists(
     min_size=3,
     max_size=14,
 )
+#: of an even stream: mostly no jitter, a few times a frame is lost
+EVEN_STEPS = st.lists(
+    st.tuples(often(0, st.sampled_from([-1, 1, 30]), share=8), st.integers(0, 4), st.just((0, 0))),
+    min_size=12,
+    max_size=24,
+)
 SAYS = st.lists(often("all", st.sampled_from(SAYINGS)), min_size=1, max_size=4).map(tuple)
+TIMEOUT = often(None, st.integers(1, 30), share=2)
+CHECKS = st.lists(st.tuples(st.integers(0, 40), st.booleans()), max_size=8).map(tuple)
+CHECK_EVERY = st.integers(1, 40)
 
 
 def scaled(value: int | None, unit: int) -> int | None:
@@ -163,9 +182,9 @@ def inputs(draw: st.DrawFn, name: str, ports: list[Port], unit: int) -> Input:
 
 
 @st.composite
-def triggers(draw: st.DrawFn, ports: list[Port], unit: int) -> Input:
+def triggers(draw: st.DrawFn, ports: list[Port], unit: int, even: bool) -> Input:
     select = draw(SELECT)
-    policy = Policy.LATEST if select else draw(POLICY)
+    policy = Policy.LATEST if select or (even and draw(OFTEN)) else draw(POLICY)
     return Input(
         "trigger",
         (draw(st.sampled_from(ports)),),
@@ -179,43 +198,83 @@ def triggers(draw: st.DrawFn, ports: list[Port], unit: int) -> Input:
 
 @st.composite
 def stages(
-    draw: st.DrawFn, name: str, ports: list[Port], devices: tuple[str, ...], unit: int
+    draw: st.DrawFn, name: str, ports: list[Port], devices: tuple[str, ...], unit: int, even: bool
 ) -> StageNode:
     rules = [draw(inputs(f"sync{n}", ports, unit)) for n in range(draw(st.integers(0, 2)))]
-    rules.insert(draw(st.integers(0, len(rules))), draw(triggers(ports, unit)))
-    ladder = draw(st.permutations(devices))[: draw(st.integers(0, len(devices)))]
+    trigger = draw(triggers(ports, unit, even))
+    rules.insert(draw(st.integers(0, len(rules))), trigger)
+    ladder = draw(st.permutations(devices))[
+        : draw(st.integers(min(int(even), len(devices)), len(devices)))
+    ]
+    outputs = draw(OUTPUTS)
+    wanted = trigger.policy is Policy.LATEST and draw(OFTEN if even else RARELY)
     return StageNode(
         name,
         tuple(rules),
-        outputs=draw(OUTPUTS),
+        outputs=("out",) if even and wanted else outputs,
         devices=tuple(ladder),
         max_in_flight=draw(MAX_IN_FLIGHT),
         priority=draw(PRIORITY),
         inline=not ladder and draw(RARELY),
         stateless=draw(RARELY),
         on_error=draw(ON_ERROR),
+        wanted=wanted,
+        timeout=scaled(draw(TIMEOUT), unit) if ladder else None,
+        degraded_period=scaled(draw(DECIMATED), unit) if ladder else None,
     )
 
 
+def alike(nodes: list[StageNode]) -> list[StageNode]:
+    """All members of a select group are `wanted` as its first is."""
+    group: dict[tuple[Port, str], bool] = {}
+    made = []
+    for node in nodes:
+        if node.inputs and node.trigger.select:
+            key = node.trigger.sources[0], node.trigger.select
+            node = replace(node, wanted=group.setdefault(key, node.wanted))
+        made.append(node)
+    return made
+
+
 @st.composite
-def topologies(draw: st.DrawFn, unit: int) -> Topology:
+def fusions(draw: st.DrawFn, name: str, nodes: list[StageNode], unit: int) -> StageNode:
+    """What wishes are made of: triggered by a sensor, it chooses from stages that are `wanted`."""
+    sensors = [Port(node.name) for node in nodes if node.is_source]
+    chosen = [Port(node.name) for node in nodes if node.wanted and node.outputs]
+    rules = [Input("trigger", (draw(st.sampled_from(sensors)),), policy=Policy.DROP_OLDEST, size=9)]
+    for n, port in enumerate(draw(st.permutations(chosen))[:2]):
+        rule = draw(inputs(f"sync{n}", [port], unit))
+        if draw(st.booleans()):
+            wait = rule.max_wait or 50 * unit
+            rule = replace(rule, sync=Sync.NEAREST, tolerance=25 * unit, max_wait=wait)
+        rules.append(rule)
+    return StageNode(name, tuple(rules), outputs=())
+
+
+@st.composite
+def topologies(draw: st.DrawFn, unit: int, even: bool = False) -> Topology:
     nodes: list[StageNode] = []
-    for n in range(draw(st.integers(1, 3))):
+    for n in range(draw(st.integers(1 + even, 3))):
         promise = scaled(draw(PROMISE), unit)
         nodes.append(StageNode(f"source{n}", outputs=draw(SOURCE_OUTPUTS), min_period=promise))
-    devices = ("npu", "gpu")[: draw(st.integers(0, 2))]
+    devices = ("npu", "gpu", "cpu")[: draw(st.integers(int(even), 3))]
     for n in range(draw(st.integers(1, 6))):
         ports = [Port(node.name, name) for node in nodes for name in node.outputs]
-        nodes.append(draw(stages(f"stage{n}", ports, devices, unit)))
-    return Topology(tuple(nodes), workers=draw(st.integers(1, 3)))
+        nodes.append(draw(stages(f"stage{n}", ports, devices, unit, even)))
+    nodes = alike(nodes)
+    if even and any(node.wanted for node in nodes):
+        nodes += [draw(fusions(f"fusion{n}", nodes, unit)) for n in range(draw(SIZE))]
+    check_every = draw(CHECK_EVERY) * unit
+    return Topology(tuple(nodes), draw(st.integers(1, 3)), check_every)
 
 
 @st.composite
-def arrivals(draw: st.DrawFn, port: Port, unit: int) -> list[Arrival]:
-    """One port's messages: mostly regular, late by a varying delay, now and then backward."""
+def arrivals(draw: st.DrawFn, port: Port, unit: int, even: bool) -> list[Arrival]:
+    """One port's messages: mostly regular, late by a varying delay, now and then backward; or an
+    even stream."""
     period, stamp, at = draw(PERIOD), draw(PERIOD), 0
     made: list[Arrival] = []
-    for jitter, delay, (before, after) in draw(STEPS):
+    for jitter, delay, (before, after) in draw(EVEN_STEPS if even else STEPS):
         at = max(at, stamp + delay)
         extent = (stamp - before) * unit, (stamp + after) * unit
         made.append(Arrival(at * unit, port, stamp * unit, *extent))
@@ -250,16 +309,20 @@ def scripts(draw: st.DrawFn, offline: bool | None = None) -> Script:
     """Any flight of any graph. A unit of 0.1 s brings the rules' fixed seconds into reach."""
     unit = draw(st.sampled_from([1, 1, 100_000_000]))
     offline = draw(RARELY) if offline is None else offline
-    topology = draw(topologies(unit))
+    even = draw(st.booleans())
+    topology = draw(topologies(unit, even))
     ports = [
         Port(node.name, name) for node in topology.stages if node.is_source for name in node.outputs
     ]
     return Script(
         topology,
-        tuple(sorted((a for p in ports for a in draw(arrivals(p, unit))), key=lambda a: a.at)),
+        tuple(
+            sorted((a for p in ports for a in draw(arrivals(p, unit, even))), key=lambda a: a.at)
+        ),
         {node.name: draw(behaviors(unit)) for node in topology.stages if not node.is_source},
         () if offline else tuple(sorted(draw(happenings(topology, unit)), key=lambda h: h.at)),
         offline,
         draw(st.booleans()),
         draw(st.booleans()),
+        tuple((lasts * unit, works) for lasts, works in draw(CHECKS)),
     )

@@ -13,7 +13,17 @@ from typing import Any, NamedTuple, Protocol
 from scripts import Arrival, Script
 
 from pipeline.message import Message
-from pipeline.scheduling.events import InputSet, Observer, Output, Reason, Refusal, Run, Start, Step
+from pipeline.scheduling.events import (
+    Check,
+    InputSet,
+    Observer,
+    Output,
+    Reason,
+    Refusal,
+    Run,
+    Start,
+    Step,
+)
 from pipeline.scheduling.topology import Port, Topology
 
 
@@ -28,7 +38,9 @@ class Scheduling(Protocol):
         self, run: Run, now: int, outputs: Sequence[Output] | None = None
     ) -> list[Start]: ...
     def step_failed(self, run: Run, now: int) -> list[Start]: ...
-    def time(self, now: int) -> list[Start]: ...
+    def time(self, now: int) -> list[Start | Check]: ...
+    def device_failed(self, run: Run, now: int) -> list[Start]: ...
+    def device_checked(self, device: str, ok: bool, now: int) -> list[Start]: ...
     def source_ended(self, stage: str, now: int) -> list[Start]: ...
     def device_down(self, device: str, now: int) -> list[Start]: ...
     def device_up(self, device: str, now: int) -> list[Start]: ...
@@ -60,6 +72,7 @@ class Seen:
     """What one scheduler made of one event, in a form that can be compared."""
 
     starts: tuple[tuple[Any, ...], ...]
+    checks: tuple[str, ...]  #: devices to be checked
     records: tuple[tuple[Any, ...], ...]
 
 
@@ -90,6 +103,10 @@ class Mismatch(AssertionError):
         super().__init__("\n".join([*story, what]))
 
 
+#: Events whose subject the rules name, too.
+COMPARED_EVENTS = ("device_down", "device_up", "device_hung", "device_failed", "wish_missed")
+
+
 def stamps(value: Any) -> Any:
     """A set's value with stamps for messages."""
     if isinstance(value, tuple):
@@ -116,17 +133,21 @@ class Player(Observer):
         if isinstance(event.subject, Arrival):
             arrival = event.subject
             message = Message(str(arrival.port), arrival.stamp, arrival.begin, arrival.end, now)
-            starts = method(arrival.port, message, now)
+            actions = method(arrival.port, message, now)
         elif isinstance(event.subject, StepKey):
             run = self.handed_out[event.subject]
             last = event.kind == "step_done" and event.subject.step in (Step.PROCESS, Step.FINISH)
-            starts = method(run, now, self._outputs(run)) if last else method(run, now)
+            actions = method(run, now, self._outputs(run)) if last else method(run, now)
+        elif isinstance(event.subject, tuple):
+            actions = method(*event.subject, now)
         else:
-            starts = method(now) if event.subject is None else method(event.subject, now)
+            actions = method(now) if event.subject is None else method(event.subject, now)
+        starts = [action for action in actions if isinstance(action, Start)]
+        checks = tuple(action.device for action in actions if isinstance(action, Check))
         for start in starts:
             self.handed_out[key_of(start)] = start.run
         told = ((*key_of(start), *_set(start.run.inputs), start.inline) for start in starts)
-        return Seen(tuple(told), tuple(self.told))
+        return Seen(tuple(told), checks, tuple(self.told))
 
     def _outputs(self, run: Run) -> list[Output]:
         behavior, node = self.script.behaviors[run.stage], self.script.topology.stage(run.stage)
@@ -139,7 +160,8 @@ class Player(Observer):
     def published(self, port: Port, message: Message[Any], now: int) -> None:
         lineage = tuple((s.stream, s.stamp, s.received) for s in message.lineage)
         times = message.stamp, message.begin, message.end, message.received, message.seq
-        self.told.append(("published", str(port), *times, lineage, message.payload))
+        made = message.payload, message.executor, message.degraded
+        self.told.append(("published", str(port), *times, lineage, *made))
 
     def refused(self, port: Port, message: Message[Any], reason: Refusal, now: int) -> None:
         self.told.append(("refused", str(port), message.stamp, reason.value))
@@ -159,6 +181,8 @@ class Player(Observer):
     def event(self, kind: str, subject: str, text: str, now: int) -> None:
         if kind in ("stale", "recovered"):
             self.told.append((kind,))
+        elif kind in COMPARED_EVENTS:
+            self.told.append((kind, subject))
 
     def books(self) -> dict[str, Any]:
         edges = {
@@ -203,6 +227,7 @@ class Drive:
         self.leader = self.players[0].scheduler
         self.heap: list[tuple[int, int, int, Event]] = []
         self.count = count()
+        self.checks = count()
         self.waking: set[int] = set()
         self.late: dict[str, deque[Event]] = {
             node.name: deque() for node in script.topology.stages if node.is_source
@@ -244,10 +269,11 @@ class Drive:
             for source, queue in self.late.items():
                 while queue and self.leader.ready(source):
                     self._feed(queue.popleft(), now)
-            wakeup = self.leader.next_wakeup()
-            if wakeup is not None and wakeup not in self.waking:
-                self.waking.add(wakeup)
-                self._push(wakeup, Event("time"))
+            for player in self.players:  # each is woken when it asks: lateness counts
+                wakeup = player.scheduler.next_wakeup()
+                if wakeup is not None and wakeup not in self.waking:
+                    self.waking.add(wakeup)
+                    self._push(wakeup, Event("time"))
         return now
 
     def _play_offline(self) -> None:
@@ -279,16 +305,20 @@ class Drive:
         books, *other_books = [player.books() for player in self.players]
         for seen, kept in zip(others, other_books, strict=True):
             self._compare("starts", sorted(seen.starts, key=repr), sorted(first.starts, key=repr))
+            self._compare("checks", seen.checks, first.checks)
             self._compare("told", sorted(seen.records, key=repr), sorted(first.records, key=repr))
             for part, book in books.items():
                 self._compare(part, kept[part], book)
         if wrong := unbalanced(books):
             raise Mismatch(self.script, self.trace, f"unbalanced: {wrong}")
-        if event.kind == "time" and (first.starts or first.records):
+        if event.kind == "time" and (first.starts or first.checks or first.records):
             for player, wakeup in zip(self.players, promised, strict=True):
                 if wakeup is None or wakeup > now:
                     name = type(player.scheduler).__name__
                     raise Mismatch(self.script, self.trace, f"{name} would sleep till {wakeup}")
+        for device in first.checks:
+            lasts, works = self.script.check(next(self.checks))
+            self._push(now + lasts, Event("device_checked", (device, works)))
         for start in first.starts:
             key = StepKey(*start[:4])
             self._push(now + self._lasts(key), Event(self._outcome(key), key))
@@ -311,8 +341,12 @@ class Drive:
             key.step in (Step.PROCESS, Step.PREPARE),
             key.step in (Step.PROCESS, Step.FINISH),
         )
-        fails = (saying == "raise early" and first) or (saying == "raise" and last)
-        return "step_failed" if fails else "step_done"
+        ladder = self.script.topology.stage(key.stage).devices
+        lost = saying == "lost all" or (saying == "lost" and key.device in ladder[:1])
+        if key.step is Step.INFER and lost:
+            return "step_failed" if self.script.offline else "device_failed"
+        fails = {"raise early": first, "raise": last, "raise infer": key.step is Step.INFER}
+        return "step_failed" if fails.get(saying) else "step_done"
 
 
 def drive(script: Script, *kinds: type[Scheduling]) -> Trace:
