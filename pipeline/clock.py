@@ -3,6 +3,15 @@
 from __future__ import annotations
 
 import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Tells the time of a graph."""
+
+    def now(self) -> int:
+        """ns on the graph's clock."""
+        ...
 
 
 class ScaledClock:

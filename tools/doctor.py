@@ -18,7 +18,7 @@ import typer
 from rich.console import Console
 
 from accelerators.registry import Registry
-from pipeline.drivers.isolated import IsolatedDevice
+from pipeline.drivers.devices import make_device
 from pipeline.errors import ModelError, OverflightError
 from pipeline.graph.graph import Graph, load_graph
 from pipeline.model import Accelerator, BoundModel, Tensor
@@ -117,8 +117,7 @@ def examine(
         for name, device in graph.devices.items():
             progress(f"opening {name}")
             # A library that kills its process, as an unfit libedgetpu does, must not kill this one.
-            process = device.isolation
-            devices[name] = IsolatedDevice(device, process) if process else planned[name]
+            devices[name] = make_device(device)
             stack.callback(devices[name].close)
             probe = devices[name].probe()
             state = DeviceState(name, device.use, name in used, probe.available, summary(probe))

@@ -40,7 +40,7 @@ class Worker:
     ) -> None:
         self.node = node
         self.stage = stage
-        self._models = dict(models or {})
+        self._models = {} if models is None else models  # grows as devices return
         self._names = [rule.name for rule in node.inputs]
         self._several = len(node.outputs) > 1 or node.outputs not in ((), ("out",))
         self._process: Callable[..., Any] | None = getattr(stage, "process", None)

@@ -1,7 +1,7 @@
 """Runs a graph in real time: threads, a clock, and the one lock that owns the scheduler.
 
 Whoever brings an event steps the scheduler under the lock and hands the runs that start straight to
-their workers: a source thread per source, a thread per device, as many CPU workers as cores. A
+their workers: a source thread per source, a thread per device, one CPU worker more than cores. A
 worker that finishes a step keeps the next one where it can, so that a busy device waits for nobody.
 The main thread serves deadlines and progress.
 """
@@ -14,17 +14,20 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, Protocol
 
 from pipeline.clock import ScaledClock
+from pipeline.drivers.ending import Ended
 from pipeline.drivers.executor import Worker
+from pipeline.drivers.profiler import Spent
 from pipeline.drivers.sealing import seal
 from pipeline.drivers.statistics import OnFailure, Statistics
-from pipeline.drivers.threads import name_this_thread
+from pipeline.errors import DeviceError
 from pipeline.message import Message
-from pipeline.scheduling.events import Output, Start, Step
+from pipeline.scheduling.events import Check, Output, Start, Step
 from pipeline.scheduling.scheduler import Scheduler
 from pipeline.scheduling.topology import Port, Topology
 
@@ -40,13 +43,25 @@ SWITCH_INTERVAL_S = 0.0005
 SAMPLE = 8
 
 
+class Guard(Protocol):
+    """What the driver asks of the devices themselves."""
+
+    def interrupt(self, name: str) -> None:
+        """Free the thread of a lost device if it can be done; must not block."""
+        ...
+
+    def check(self, name: str) -> None:
+        """Make a lost device work again, on its own thread; raises while it does not."""
+        ...
+
+
 class _Thread:
     """A worker thread and its inbox; None in it ends the thread."""
 
     def __init__(self, name: str, *, is_device: bool = False) -> None:
         self.name = name
         self.is_device = is_device
-        self.inbox: SimpleQueue[Start | None] = SimpleQueue()
+        self.inbox: SimpleQueue[Start | Check | None] = SimpleQueue()
         self.thread: threading.Thread | None = None
 
 
@@ -60,6 +75,7 @@ class LiveDriver:
         workers: Mapping[str, Worker],
         sources: Mapping[str, Iterator[Message[Any]]],
         clock: ScaledClock,
+        guard: Guard,
         statistics: Statistics,
         on_failure: OnFailure,
     ) -> None:
@@ -67,7 +83,9 @@ class LiveDriver:
         self._workers = workers
         self._sources = sources
         self._clock = clock
+        self._guard = guard
         self._statistics = statistics
+        self._profiler = statistics.profiler
         self._on_failure = on_failure
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)  #: an earlier deadline, or done
@@ -87,7 +105,11 @@ class LiveDriver:
         """Ask the run to end: callable from any thread and from a signal handler."""
         self._stop.set()
 
-    def run(self, duration_s: float | None, tick: Callable[[], None]) -> None:
+    def still(self) -> AbstractContextManager[object]:
+        """While it is entered nothing changes in the scheduler or the statistics: to read them."""
+        return self._lock
+
+    def run(self, duration_s: float | None, tick: Callable[[], None]) -> Ended:
         """Run to the end of all sources, for `duration_s`, or to `stop`; then drain and join."""
         interval = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_INTERVAL_S)
@@ -97,7 +119,7 @@ class LiveDriver:
         try:
             self._start_threads()
             end = None if duration_s is None else time.monotonic() + duration_s
-            self._serve(end, tick)
+            ended = self._serve(end, tick)
         finally:
             self._shut_down()
             sys.setswitchinterval(interval)
@@ -105,6 +127,7 @@ class LiveDriver:
             gc.unfreeze()
         if self._crash is not None:
             raise self._crash
+        return ended
 
     # ------------------------------------------------------------------ main thread
 
@@ -120,7 +143,7 @@ class LiveDriver:
         for thread in self._source_threads:
             thread.start()
 
-    def _serve(self, end: float | None, tick: Callable[[], None]) -> None:
+    def _serve(self, end: float | None, tick: Callable[[], None]) -> Ended:
         """Serve deadlines and progress until the run is over."""
         next_tick = time.monotonic() + TICK_S
         next_collect = time.monotonic() + 1.0
@@ -128,10 +151,11 @@ class LiveDriver:
         while not self._stop.is_set():
             now = time.monotonic()
             if end is not None and now >= end:
-                return
+                return Ended.DURATION
             if now >= next_tick:
                 next_tick = now + TICK_S
-                tick()
+                with self._profiler.showing():
+                    tick()
             if now >= next_collect:
                 # Reference counting frees nearly everything. The rest is collected here, on the
                 # thread that nobody waits for: all of it twice a minute, what is young each second.
@@ -139,10 +163,10 @@ class LiveDriver:
                 collected += 1
                 gc.collect(2 if collected % 30 == 0 else 1)
             wait = next_tick - now if end is None else min(next_tick, end) - now
-            starts: list[Start] = []
+            actions: Sequence[Start | Check] = ()
             with self._changed:
                 if self._over():
-                    return
+                    return Ended.SOURCES
                 self._armed = self._scheduler.next_wakeup()
                 if self._armed is not None:
                     wait = min(wait, self._clock.seconds_until(self._armed))
@@ -150,8 +174,9 @@ class LiveDriver:
                     self._changed.wait(wait)
                 armed, self._armed = self._armed, None
                 if armed is not None and self._clock.now() >= armed:
-                    starts = self._hand_out(self._scheduler.time(self._clock.now()), None)
-            self._run_here(starts, None)
+                    actions = self._hand_out(self._scheduler.time(self._clock.now()), None)
+            self._run_here(actions, None)
+        return Ended.STOPPED
 
     def _over(self) -> bool:
         return not self._open_sources and self._scheduler.quiescent()
@@ -166,6 +191,8 @@ class LiveDriver:
             while not self._scheduler.quiescent() and time.monotonic() < deadline:
                 self._changed.wait(0.02)
             self._scheduler.abandon(self._clock.now())
+        for name in self._devices:
+            self._guard.interrupt(name)
         for worker in self._threads:
             worker.inbox.put(None)
         threads = [worker.thread for worker in self._threads if worker.thread is not None]
@@ -178,22 +205,23 @@ class LiveDriver:
     # ------------------------------------------------------------------ source threads
 
     def _read(self, name: str, messages: Iterator[Message[Any]]) -> None:
-        name_this_thread(f"src-{name}")
-        try:
-            self._pace(name, messages)
-            with self._changed:
-                self._open_sources.discard(name)
-                starts = self._hand_out(self._scheduler.source_ended(name, self._clock.now()), None)
-                self._changed.notify_all()
-            self._run_here(starts, None)
-        except BaseException as error:
-            self._crashed(error)
+        with self._profiler.thread(f"src-{name}"):
+            try:
+                self._pace(name, messages)
+                with self._changed:
+                    self._open_sources.discard(name)
+                    ended = self._scheduler.source_ended(name, self._clock.now())
+                    starts = self._hand_out(ended, None)
+                    self._changed.notify_all()
+                self._run_here(starts, None)
+            except BaseException as error:
+                self._crashed(error)
 
     def _pace(self, name: str, messages: Iterator[Message[Any]]) -> None:
         """Publish each message when it arrives, until the source ends, fails, or is stopped."""
         port = Port(name)
         while True:
-            before = time.thread_time_ns()
+            before = self._profiler.read()
             try:
                 message = next(messages, None)
             except Exception as error:
@@ -204,11 +232,11 @@ class LiveDriver:
             if message is None:
                 return
             seal(message.payload)
-            cpu_ns = time.thread_time_ns() - before
+            spent = self._profiler.since(before)
             while (wait := self._clock.seconds_until(message.received)) > 0:
                 if self._stop.wait(wait):
                     return
-            if not self._publish(name, port, message, cpu_ns):
+            if not self._publish(name, port, message, spent):
                 return
 
     def _crashed(self, error: BaseException) -> None:
@@ -216,7 +244,7 @@ class LiveDriver:
         self._crash = self._crash or error
         self._stop.set()
 
-    def _publish(self, name: str, port: Port, message: Message[Any], cpu_ns: int) -> bool:
+    def _publish(self, name: str, port: Port, message: Message[Any], spent: Spent) -> bool:
         with self._lock:
             while not self._scheduler.ready(name):
                 if self._stop.is_set():
@@ -226,7 +254,7 @@ class LiveDriver:
                 self._blocked_sources -= 1
             if self._stop.is_set():
                 return False
-            self._statistics.step(name, Step.PROCESS, cpu_ns)  # of making the message alone
+            self._statistics.spent(name, Step.PROCESS, None, spent)  # of making the message alone
             starts = self._hand_out(self._step("publish", port, message, self._clock.now()), None)
         self._run_here(starts, None)
         return True
@@ -234,37 +262,61 @@ class LiveDriver:
     # ------------------------------------------------------------------ workers
 
     def _work(self, me: _Thread) -> None:
-        name_this_thread(me.name)
-        try:
-            while (start := me.inbox.get()) is not None:
-                self._run_here([start], me)
-        except BaseException as error:
-            self._crashed(error)
-
-    def _run_here(self, starts: list[Start], me: _Thread | None) -> None:
-        """Execute steps on this thread, and what they start on it, until nothing is left."""
-        todo = deque(starts)
-        while todo:
-            start = todo.popleft()
-            run = start.run
-            before = time.thread_time_ns()
-            outputs: tuple[Output, ...] | None = None
+        with self._profiler.thread(me.name):
             try:
-                outputs = tuple(self._workers[run.stage].execute(run, start.step))
+                while (action := me.inbox.get()) is not None:
+                    self._run_here([action], me)
+            except BaseException as error:
+                self._crashed(error)
+
+    def _run_here(self, actions: Sequence[Start | Check], me: _Thread | None) -> None:
+        """Execute steps on this thread, and what they start on it, until nothing is left."""
+        todo = deque(actions)
+        while todo:
+            action = todo.popleft()
+            if isinstance(action, Check):
+                todo.extend(self._check_here(action.device, me))
+                continue
+            run = action.run
+            before = self._profiler.read(run.device if action.step is Step.INFER else None)
+            failure: tuple[Exception, str] | None = None
+            outputs: tuple[Output, ...] = ()
+            try:
+                outputs = tuple(self._workers[run.stage].execute(run, action.step))
             except Exception as error:
-                text = traceback.format_exc()
-                with self._lock:
-                    self._on_failure(run.stage, error, text, run.inputs.trigger.stamp)
-            cpu_ns = time.thread_time_ns() - before
+                failure = error, traceback.format_exc()
+            spent = self._profiler.since(before)
             with self._lock:
-                self._statistics.step(run.stage, start.step, cpu_ns)
-                now = self._clock.now()
-                if outputs is None:
-                    actions = self._step("step_failed", run, now)
+                self._statistics.spent(run.stage, action.step, run.device, spent)
+                if failure is None:
+                    starts = self._step("step_done", run, self._clock.now(), outputs)
                 else:
-                    actions = self._step("step_done", run, now, outputs)
-                mine = me if me is not None and not start.inline else None
-                todo.extend(self._hand_out(actions, mine))
+                    starts = self._failed(action, *failure)
+                mine = me if me is not None and not action.inline else None
+                todo.extend(self._hand_out(starts, mine))
+
+    def _failed(self, start: Start, error: Exception, text: str) -> list[Start]:
+        """A step raised: where its device is to blame and another can go on, no run has failed."""
+        run, now = start.run, self._clock.now()
+        lost = isinstance(error, DeviceError) and start.step is Step.INFER
+        if not (lost and self._scheduler.has_later_rung(run)):
+            self._on_failure(run.stage, error, text, run.inputs.trigger.stamp)
+        elif lost:
+            self._statistics.event("device_error", str(run.device), str(error), now)
+        return self._step("device_failed" if lost else "step_failed", run, now)
+
+    def _check_here(self, device: str, me: _Thread | None) -> list[Start]:
+        try:
+            self._guard.check(device)
+        except Exception as error:  # whatever a broken runtime raises, the device is not back
+            text = f"still lost: {str(error).strip() or type(error).__name__}"
+            with self._lock:
+                self._statistics.event("device_check", device, text, self._clock.now())
+                starts = self._scheduler.device_checked(device, False, self._clock.now())
+                return self._hand_out(starts, me)
+        with self._lock:
+            starts = self._scheduler.device_checked(device, True, self._clock.now())
+            return self._hand_out(starts, me)
 
     def _step(self, event: str, *arguments: Any) -> list[Start]:
         """Step the scheduler (under the lock), measuring one step in `SAMPLE`."""
@@ -277,7 +329,7 @@ class LiveDriver:
         self._statistics.scheduler_ns += SAMPLE * (time.thread_time_ns() - before)
         return starts
 
-    def _hand_out(self, starts: list[Start], me: _Thread | None) -> list[Start]:
+    def _hand_out(self, actions: Sequence[Start | Check], me: _Thread | None) -> list[Start]:
         """Give each step to its thread (under the lock); returns those that this thread executes.
 
         `me` is the thread whose step just ended: it is free, so it keeps a step it can execute.
@@ -286,15 +338,16 @@ class LiveDriver:
             self._idle.append(me)
         inline: list[Start] = []
         own: list[Start] = []
-        for start in starts:
-            if start.inline:
-                inline.append(start)
-                continue
-            thread = self._thread_for(start, me)
-            if thread is me:
-                own.append(start)
+        for action in actions:
+            if isinstance(action, Check):
+                self._guard.interrupt(action.device)
+                self._devices[action.device].inbox.put(action)
+            elif action.inline:
+                inline.append(action)
+            elif (thread := self._thread_for(action, me)) is me:
+                own.append(action)
             else:
-                thread.inbox.put(start)
+                thread.inbox.put(action)
         if self._blocked_sources:
             self._unblocked.notify_all()
         wakeup = self._scheduler.next_wakeup()

@@ -12,10 +12,13 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 from pipeline.clock import ManualClock
+from pipeline.drivers.ending import Ended
 from pipeline.drivers.executor import Worker
+from pipeline.drivers.profiler import Spent
 from pipeline.drivers.sealing import seal
 from pipeline.drivers.statistics import OnFailure, Statistics
 from pipeline.message import Message
@@ -33,6 +36,7 @@ class OfflineDriver:
         scheduler: Scheduler,
         workers: Mapping[str, Worker],
         sources: Mapping[str, Iterator[Message[Any]]],
+        clock: ManualClock,
         statistics: Statistics,
         on_failure: OnFailure,
     ) -> None:
@@ -41,23 +45,31 @@ class OfflineDriver:
         self._workers = workers
         self._sources = sources
         self._statistics = statistics
+        self._profiler = statistics.profiler
         self._on_failure = on_failure
         self._order = {stage.name: i for i, stage in enumerate(topology.stages)}
-        self._clock = ManualClock()
+        self._clock = clock
         self._stopped = False
 
     def stop(self) -> None:
         """Ask the run to end after the message at hand: callable from a signal handler."""
         self._stopped = True
 
-    def run(self, duration_s: float | None, tick: Callable[[], None]) -> None:
-        """Run to the end of all sources, for `duration_s` of graph time, or to `stop`."""
-        with ThreadPoolExecutor(self._topology.workers, "offline") as pool:
-            self._pool = pool
-            self._pull_all(duration_s, tick)
-            self._work_off(self._scheduler.stop(self._clock.now()))
+    def still(self) -> AbstractContextManager[object]:
+        """While it is entered nothing changes in the scheduler or the statistics: to read them."""
+        return nullcontext()  # at a tick it stands still anyway
 
-    def _pull_all(self, duration_s: float | None, tick: Callable[[], None]) -> None:
+    def run(self, duration_s: float | None, tick: Callable[[], None]) -> Ended:
+        """Run to the end of all sources, for `duration_s` of graph time, or to `stop`."""
+        enter = self._profiler.enter_thread
+        with ThreadPoolExecutor(self._topology.workers, "offline", enter) as pool:
+            self._pool = pool
+            ended = self._pull_all(duration_s, tick)
+            self._work_off(self._scheduler.stop(self._clock.now()))
+            self._profiler.read_threads()
+        return ended
+
+    def _pull_all(self, duration_s: float | None, tick: Callable[[], None]) -> Ended:
         heads: dict[str, Message[Any]] = {}
         for name in self._sources:
             self._advance(name, heads)
@@ -68,21 +80,23 @@ class OfflineDriver:
             if duration_s is not None:
                 end = end if end is not None else message.stamp + int(duration_s * 1e9)
                 if message.stamp >= end:
-                    return
+                    return Ended.DURATION
             self._clock.advance_to(max(self._clock.now(), message.received))
             self._work_off(self._scheduler.publish(Port(name), message, self._clock.now()))
             self._advance(name, heads)
-            tick()
+            with self._profiler.showing():
+                tick()
+        return Ended.STOPPED if heads else Ended.SOURCES
 
     def _advance(self, name: str, heads: dict[str, Message[Any]]) -> None:
         """Read the next message of a source; at its end, or when it fails, its stream ends."""
-        before = time.thread_time_ns()
+        before = self._profiler.read()
         try:
             message = next(self._sources[name], None)
         except Exception as error:
             self._on_failure(name, error, traceback.format_exc(), None)
             message = None
-        self._statistics.step(name, Step.PROCESS, time.thread_time_ns() - before)
+        self._statistics.spent(name, Step.PROCESS, None, self._profiler.since(before))
         if message is not None:
             seal(message.payload)
             heads[name] = message
@@ -102,8 +116,8 @@ class OfflineDriver:
                 future = _now(self._execute, start) if alone else self._submit(start)
                 pending[key] = (start, future)
             start, future = pending.pop(min(pending))
-            outputs, cpu_ns, failure = future.result()
-            self._statistics.step(start.run.stage, start.step, cpu_ns)
+            outputs, spent, failure = future.result()
+            self._statistics.spent(start.run.stage, start.step, start.run.device, spent)
             before = time.thread_time_ns()
             if failure is not None:
                 self._on_failure(start.run.stage, *failure, start.run.inputs.trigger.stamp)
@@ -116,17 +130,17 @@ class OfflineDriver:
         return self._pool.submit(self._execute, start)
 
     def _execute(self, start: Start) -> _Done:
-        before = time.thread_time_ns()
+        before = self._profiler.read(start.run.device if start.step is Step.INFER else None)
         outputs: tuple[Output, ...] = ()
         failure = None
         try:
             outputs = tuple(self._workers[start.run.stage].execute(start.run, start.step))
         except Exception as error:
             failure = (error, traceback.format_exc())
-        return outputs, time.thread_time_ns() - before, failure
+        return outputs, self._profiler.since(before), failure
 
 
-_Done = tuple[tuple[Output, ...], int, tuple[BaseException, str] | None]
+_Done = tuple[tuple[Output, ...], Spent, tuple[BaseException, str] | None]
 
 
 def _now(function: Callable[[Start], _Done], start: Start) -> Future[_Done]:

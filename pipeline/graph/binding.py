@@ -29,7 +29,7 @@ def check_binding(
     """
     steps: Steps = ("stages", name)
     if not contract.is_model:
-        for key in ("executor", "model"):
+        for key in ("executor", "model", "timeout_ms", "degraded_rate_hz"):
             if getattr(spec, key) is not None:
                 what = f"{spec.use} is no ModelStage: it runs on the CPU by itself; remove '{key}'"
                 report.mistake((*steps, key), what, at_key=True)
@@ -41,6 +41,9 @@ def check_binding(
         if spec.executor is None:
             what = f"{spec.use} runs a model; name its device under 'executor'"
             report.mistake(steps, what + suggest("", devices))
+    if spec.degraded_rate_hz is not None and len(spec.executor or ()) < 2:
+        what = "'degraded_rate_hz' is for the lower rungs of 'executor', which has none"
+        report.mistake((*steps, "degraded_rate_hz"), what, at_key=True)
     known_model = spec.model is not None and spec.model in catalog.names()
     if spec.model is not None and not known_model:
         what = f"no model '{spec.model}'{suggest(spec.model, catalog.names())}"

@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from pipeline.graph.contract import CALIBRATION, Contract, ContractError, contract_of, options_of
+from pipeline.graph.contract import CALIBRATION, Contract, ContractError, contract_of
 from pipeline.graph.nodes import Node, Steps
-from pipeline.graph.options import CalibrationBlock, bind_options, build, import_name
+from pipeline.graph.options import CalibrationBlock, bind_options, build, device_class, import_name
 from pipeline.graph.report import Report
+from pipeline.graph.spec import DEVICE_KEYS
 from pipeline.model import Accelerator
 from pipeline.stage import Stage
 
@@ -47,15 +48,12 @@ class PartMaker:
         """The device; None where its class is wrong."""
         steps: Steps = ("devices", name)
         try:
-            cls = import_name(use)
-            if not isinstance(cls, type) or not hasattr(cls, "kinds"):
-                raise ContractError(f"{use} is no accelerator: it has no 'kinds' of models it runs")
-            wanted = options_of(cls)
+            cls, wanted = device_class(use)
         except (ImportError, ContractError) as error:
             self._report.mistake((*steps, "use"), str(error))
             return None
-        given = dict(self._report.entries(steps))
-        given.pop("use")
+        entries = self._report.entries(steps)
+        given = {key: node for key, node in entries.items() if key not in DEVICE_KEYS}
         options = bind_options(wanted, use, given, steps, self._report)
         instance = None if options is None else build(cls, options, steps, self._report)
         return Part(use, cls, options or {}, instance)

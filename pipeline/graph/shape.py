@@ -12,8 +12,11 @@ from pipeline.graph.report import Report
 from pipeline.graph.spec import (
     PATTERNS,
     DeviceSpec,
+    ExpectSpec,
     GraphSpec,
+    InputExpectation,
     InputSpec,
+    OutputExpectation,
     QueueSpec,
     Spec,
     StageSpec,
@@ -27,6 +30,9 @@ _SPECS: dict[Steps, type[Spec]] = {
     ("stages", _ANY): StageSpec,
     ("stages", _ANY, "inputs", _ANY): InputSpec,
     ("stages", _ANY, "inputs", _ANY, "queue"): QueueSpec,
+    ("expect",): ExpectSpec,
+    ("expect", "outputs", _ANY): OutputExpectation,
+    ("expect", "inputs", _ANY): InputExpectation,
 }
 _REQUIRED: dict[str, tuple[Any, str]] = {
     "overflight": (1, "begin it with 'overflight: 1', the version of the format"),

@@ -119,7 +119,19 @@ class StageSpec(Spec):
     max_in_flight: Annotated[int, Field(ge=1, le=64)] | None = Field(
         None, description="Runs started and not finished. Default 1, with a model 2."
     )
-    run: Literal["every"] | None = Field(None, description="Which triggers to run on: every one.")
+    run: Literal["every", "wanted"] | None = Field(
+        None,
+        description="every (default): each trigger that finds the stage free. wanted: those that "
+        "an input downstream will choose, as far as their stamps can be predicted.",
+    )
+    timeout_ms: Annotated[float, Field(gt=0, le=_MAX_MS)] | None = Field(
+        None,
+        description="An infer that takes longer marks its device as lost. Default: ten times the "
+        "longest of the last ones.",
+    )
+    degraded_rate_hz: Annotated[float, Field(ge=0.001, le=1_000_000)] | None = Field(
+        None, description="At most so many runs a second on a lower rung of the executor's list."
+    )
     min_period_ms: Annotated[float, Field(gt=0, le=_MAX_MS)] | None = Field(
         None,
         description="Sources only: the promise that stamps lie at least so far apart; others then "
@@ -133,6 +145,66 @@ class DeviceSpec(Spec):
     model_config = ConfigDict(frozen=True, extra="allow")
 
     use: Use = Field(description="The accelerator class, as module:Class.")
+    isolate: bool | None = Field(
+        None,
+        description="In a process of its own, which may crash or hang and is started anew. "
+        "Default: what the class says; EdgeTpu says true.",
+    )
+    restart_policy: Literal["never", "on-failure", "always"] | None = Field(
+        None,
+        description="isolate: whether its process is started anew: after a crash (on-failure, the "
+        "default), also when it ended by itself (always), or never.",
+    )
+    max_restarts: Annotated[int, Field(ge=0, le=1_000_000)] | None = Field(
+        None, description="isolate: at most so many restarts within restart_window_s. Default 5."
+    )
+    restart_window_s: Annotated[float, Field(gt=0, le=_MAX_MS / 1e3)] | None = Field(
+        None, description="isolate: see max_restarts. Default 60."
+    )
+
+
+#: Keys of a device block that are ours, not options of its class.
+DEVICE_KEYS = tuple(DeviceSpec.model_fields)
+
+
+class OutputExpectation(Spec):
+    """What an output must keep to."""
+
+    min_rate_hz: Annotated[float, Field(gt=0, le=1_000_000)] | None = Field(
+        None, description="Messages a second, at least."
+    )
+    max_age_ms: Milliseconds | None = Field(
+        None,
+        description="At most so old, for 99 of 100 messages: from the oldest sensor sample that "
+        "went in.",
+    )
+    max_gap_ms: Milliseconds | None = Field(
+        None, description="The longest silence between two messages."
+    )
+
+
+class InputExpectation(Spec):
+    """What an input must keep to, each of its edges for itself."""
+
+    max_drop_percent: Annotated[float, Field(ge=0, le=100)] | None = Field(
+        None,
+        description="Of the messages that come, at most so many lost. What the graph leaves out on "
+        "purpose (rate_hz, run: wanted, no set needs it) is not lost.",
+    )
+
+
+class ExpectSpec(Spec):
+    """What a run must keep to: checked at its end and by `overflight check`."""
+
+    outputs: Mapping[str, OutputExpectation] = Field(
+        default_factory=dict, description="By output: a stage, or stage/port."
+    )
+    inputs: Mapping[str, InputExpectation] = Field(
+        default_factory=dict, description="By input: stage/input."
+    )
+    max_cpu_cores: Annotated[float, Field(gt=0, le=100_000)] | None = Field(
+        None, description="CPU of the whole process, in cores, on average over the run."
+    )
 
 
 class GraphSpec(Spec):
@@ -154,6 +226,9 @@ class GraphSpec(Spec):
         None, description="The sensors by name, or {use: module:function, options: {...}}."
     )
     stages: Mapping[Name, StageSpec] = Field(description="The stages by name.")
+    expect: ExpectSpec = Field(
+        default_factory=ExpectSpec, description="What a run must keep to, or it has failed."
+    )
 
 
 def graph_schema() -> dict[str, Any]:

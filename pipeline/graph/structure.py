@@ -8,7 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 
 from pipeline.graph.report import Report
 from pipeline.graph.wording import suggest
-from pipeline.scheduling.topology import Input, Port, StageNode, Sync
+from pipeline.scheduling.topology import Input, Policy, Port, StageNode, Sync
 
 
 def check_structure(nodes: Sequence[StageNode], report: Report) -> None:
@@ -22,6 +22,7 @@ def check_structure(nodes: Sequence[StageNode], report: Report) -> None:
         report.mistake(("stages", first, "inputs"), what)
     _check_reach(nodes, {name for circle in circles for name in circle}, report)
     _check_select_groups(nodes, report)
+    _check_wanted(nodes, report)
     _warn_unread(nodes, report)
 
 
@@ -74,6 +75,7 @@ def _trigger_stage(node: StageNode) -> str | None:
 
 def _check_select_groups(nodes: Sequence[StageNode], report: Report) -> None:
     groups: dict[tuple[Port, str], list[tuple[str, Input]]] = {}
+    wanted = {node.name: node.wanted for node in nodes}
     for node in nodes:
         for entry in node.inputs:
             if entry.select is not None and entry.sync is Sync.TRIGGER and entry.sources:
@@ -84,11 +86,37 @@ def _check_select_groups(nodes: Sequence[StageNode], report: Report) -> None:
             if entry.period != first.period:
                 what = f"shares select '{word}' with '{first_stage}', so both need the same rate_hz"
                 report.mistake(("stages", stage, "inputs", entry.name), what)
+            if wanted[stage] != wanted[first_stage]:
+                what = f"shares select '{word}' with '{first_stage}', so both need the same 'run'"
+                report.mistake(("stages", stage), what)
         if len(members) == 1:
             others = [select for other, select in groups if other == port and select != word]
             what = f"no other input on {port} has the select '{word}'"
             what += suggest(word, others, or_list=False)
             report.warn(("stages", first_stage, "inputs", first.name, "select"), what)
+
+
+def _check_wanted(nodes: Sequence[StageNode], report: Report) -> None:
+    """Wanted frames need a queue that may pass frames over, and somebody who chooses."""
+    for node in nodes:
+        triggers = [entry for entry in node.inputs if entry.sync is Sync.TRIGGER]
+        if not node.wanted or not triggers:
+            continue
+        if triggers[0].policy is not Policy.LATEST:
+            what = "'run: wanted' passes frames over, so its queue is latest"
+            what += f", not {triggers[0].policy}"
+            report.mistake(("stages", node.name, "run"), what)
+        outputs = {Port(node.name, name) for name in node.outputs}
+        choosy = any(
+            outputs & set(entry.sources) and (other.wanted or entry.sync is not Sync.TRIGGER)
+            for other in nodes
+            for entry in other.inputs
+        )
+        if not choosy:
+            what = (
+                "nobody downstream chooses among its results, so 'run: wanted' runs on every frame"
+            )
+            report.warn(("stages", node.name, "run"), what)
 
 
 def _warn_unread(nodes: Sequence[StageNode], report: Report) -> None:

@@ -22,6 +22,16 @@ def reads(origin: str, size: int) -> tuple[Input]:
     return (Input("x", (Port(origin),), policy=Policy.DROP_OLDEST, size=size),)
 
 
+class _NoDevices:
+    """These topologies have none to lose."""
+
+    def interrupt(self, name: str) -> None:
+        raise LookupError(name)
+
+    def check(self, name: str) -> None:
+        raise LookupError(name)
+
+
 def run_live(
     nodes: Sequence[StageNode],
     stages: Mapping[str, Stage],
@@ -38,9 +48,10 @@ def run_live(
         failures.append(error)
 
     clock = ScaledClock(0)
-    LiveDriver(topology, scheduler, workers, dict(sources), clock, statistics, on_failure).run(
-        None, lambda: None
+    driver = LiveDriver(
+        topology, scheduler, workers, dict(sources), clock, _NoDevices(), statistics, on_failure
     )
+    driver.run(None, lambda: None)
     if failures:
         raise failures[0]
     ledger = scheduler.ledger()

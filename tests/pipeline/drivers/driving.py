@@ -5,14 +5,19 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
-from pipeline.clock import ScaledClock
+from pipeline.clock import ManualClock, ScaledClock
+from pipeline.drivers.ending import Ended
 from pipeline.drivers.executor import Worker
 from pipeline.drivers.live import LiveDriver
+from pipeline.drivers.observers import observed_by
 from pipeline.drivers.offline import OfflineDriver
 from pipeline.drivers.statistics import Statistics
+from pipeline.drivers.trace import Trace, TracedWorker
 from pipeline.message import Message
+from pipeline.model import BoundModel
 from pipeline.scheduling.scheduler import Scheduler
 from pipeline.scheduling.topology import StageNode, Topology
 from pipeline.stage import Stage
@@ -57,10 +62,23 @@ class Pair(Stage):
         return a.payload, b.payload if b else None
 
 
+class Checked:
+    """Devices that a function checks; nothing can free a thread that hangs in one."""
+
+    def __init__(self, check: Callable[[str], None]) -> None:
+        self.check = check
+
+    def interrupt(self, name: str) -> None:
+        pass
+
+
 class Ran:
     """What a run left."""
 
-    def __init__(self, scheduler: Scheduler, statistics: Statistics, seconds: float) -> None:
+    def __init__(
+        self, scheduler: Scheduler, statistics: Statistics, seconds: float, ended: Ended
+    ) -> None:
+        self.ended = ended
         self.scheduler = scheduler
         self.statistics = statistics
         self.seconds = seconds
@@ -74,14 +92,26 @@ def drive(
     sources: Mapping[str, Iterator[Message[Any]]],
     *,
     live: bool,
+    models: Mapping[str, Mapping[str, BoundModel]] | None = None,
+    check: Callable[[str], None] = lambda device: None,
+    check_every_ms: int = 1000,
     duration_s: float | None = None,
     during: Callable[[LiveDriver | OfflineDriver], None] | None = None,
+    trace: Trace | None = None,
 ) -> Ran:
     """Run stages over sources; `during` is called with the driver at every tick."""
-    topology = Topology(tuple(nodes))
+    topology = Topology(tuple(nodes), check_every=check_every_ms * MS)
     statistics = Statistics(offline=not live)
-    scheduler = Scheduler(topology, offline=not live, observer=statistics)
-    workers = {node.name: Worker(node, stages[node.name]) for node in nodes if node.inputs}
+    observers = [statistics] if trace is None else [statistics, trace]
+    scheduler = Scheduler(topology, offline=not live, observer=observed_by(*observers))
+    worker = Worker if trace is None else partial(TracedWorker, trace=trace)
+    if trace is not None:
+        sources = {name: trace.samples(name, source) for name, source in sources.items()}
+    workers = {
+        node.name: worker(node, stages[node.name], (models or {}).get(node.name))
+        for node in nodes
+        if node.inputs
+    }
 
     def on_failure(stage: str, error: BaseException, text: str, stamp: int | None) -> None:
         statistics.failed(stage, error, text, stamp, 0)
@@ -90,10 +120,19 @@ def drive(
     if live:
         clock = ScaledClock(0)
         driver = LiveDriver(
-            topology, scheduler, workers, dict(sources), clock, statistics, on_failure
+            topology,
+            scheduler,
+            workers,
+            dict(sources),
+            clock,
+            Checked(check),
+            statistics,
+            on_failure,
         )
     else:
-        driver = OfflineDriver(topology, scheduler, workers, dict(sources), statistics, on_failure)
+        driver = OfflineDriver(
+            topology, scheduler, workers, dict(sources), ManualClock(), statistics, on_failure
+        )
     started = time.monotonic()
-    driver.run(duration_s, (lambda: during(driver)) if during else (lambda: None))
-    return Ran(scheduler, statistics, time.monotonic() - started)
+    ended = driver.run(duration_s, (lambda: during(driver)) if during else (lambda: None))
+    return Ran(scheduler, statistics, time.monotonic() - started, ended)

@@ -1,0 +1,1 @@
+"""Between processes: what carries values, and what keeps a process alive."""

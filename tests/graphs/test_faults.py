@@ -1,0 +1,82 @@
+"""The shipped faults over the emulated flight: a device is lost, the fused outputs go on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from accelerators.registry import Registry
+from pipeline.drivers.run import Snapshot, run_graph
+from pipeline.graph.graph import load_graph
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+
+TIMEOUT_MS = 500
+#: One turn of all four networks on the iGPU, and as much again for a busy machine.
+PERIOD_MS = 2 * (50 + 24 + 18 + 32)
+NETWORKS = ("segment_rgb", "detect_rgb", "detect_thermal")
+
+
+def fly(root: Path, overlay: str, *settings: str, seconds: float, kill: bool = False) -> Any:
+    """The report of a run with the faults of an overlay, at other times; maybe with a kill."""
+    catalog = Registry.open()
+    timeouts = [f"stages.{name}.timeout_ms={TIMEOUT_MS}" for name in NETWORKS]
+    graph = load_graph(
+        root / "graphs/emulated_uav.yaml",
+        catalog=catalog,
+        overlays=[root / "graphs/faults" / overlay],
+        settings=[*timeouts, *settings],
+    )
+    victims: list[int] = []
+
+    def tick(snapshot: Snapshot) -> None:
+        if kill and not victims and snapshot.outputs["fuse_image/out"].count > 5:
+            (child,) = psutil.Process().children()
+            victims.append(child.pid)
+            child.kill()
+
+    report = run_graph(graph, catalog, duration_s=seconds, progress=tick).report
+    assert report["ledger_balanced"]
+    assert report["failures"] == []
+    assert bool(victims) == kill
+    for name in ("fuse_image", "fuse_cloud"):
+        assert report["outputs"][f"{name}/out"]["longest_gap_ms"] <= TIMEOUT_MS + PERIOD_MS, name
+    assert psutil.Process().children() == []
+    return report
+
+
+def story(report: Any) -> list[str]:
+    return [e["kind"] for e in report["events"] if e["of"] == "edgetpu"]
+
+
+def test_a_device_that_dies_and_returns_is_climbed_back_to(root: Path) -> None:
+    times = ["devices.edgetpu.faults.dies_at_s=1", "devices.edgetpu.faults.returns_at_s=1.8"]
+    report = fly(root, "edgetpu_dies.yaml", *times, seconds=4)
+    kinds = story(report)
+    assert kinds.index("device_failed") < kinds.index("device_down") < kinds.index("device_up")
+    assert kinds.count("device_down") == kinds.count("device_up") == 1
+
+
+def test_a_device_that_hangs_in_a_process_of_its_own_is_killed_and_started_anew(
+    root: Path,
+) -> None:
+    report = fly(root, "edgetpu_hangs.yaml", "devices.edgetpu.faults.hangs_at_s=1", seconds=5)
+    kinds = story(report)
+    assert kinds.index("device_hung") < kinds.index("device_down") < kinds.index("device_up")
+
+
+def test_a_device_that_fails_again_and_again_is_left_alone_longer_each_time(root: Path) -> None:
+    report = fly(root, "edgetpu_raises.yaml", "devices.edgetpu.faults.raises_every=5", seconds=5)
+    lost = [e["at_s"] for e in report["events"] if e["kind"] == "device_down"]
+    assert len(lost) >= 2
+    assert lost[1] - lost[0] > 1
+
+
+def test_a_killed_device_process_costs_its_run_and_comes_back(root: Path) -> None:
+    settings = ["devices.edgetpu.isolate=true", "devices.edgetpu.faults=null"]
+    report = fly(root, "edgetpu_dies.yaml", *settings, seconds=5, kill=True)
+    assert any("SIGKILL" in e["text"] for e in report["events"])
+    assert story(report)[-1] == "device_up"
