@@ -7,11 +7,8 @@ so a stage with `run: wanted` runs on every frame here.
 from __future__ import annotations
 
 import contextlib
-import functools
 import json
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -20,8 +17,8 @@ from typing import Any
 import typer
 from rich.console import Console
 
+from pipeline.drivers.quantiles import milliseconds
 from pipeline.drivers.run import RunResult, Snapshot, run_graph
-from pipeline.drivers.statistics import milliseconds
 from pipeline.errors import DataError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph
@@ -169,36 +166,22 @@ def _instrumented(side: Side, ports: Mapping[str, Callable[[], Comparison]]) -> 
 def _run(side: Side, duration_s: float | None, console: Console | None) -> RunResult:
     """Run one side offline; the first frames twice, so that no compiling is in its figures.
 
-    A run ends itself at Ctrl-C and would let the other side begin, so it is kept on a thread of its
-    own and asked to end. Raises KeyboardInterrupt then, and what the run itself raises.
+    Raises KeyboardInterrupt where a signal ended it: the other side is not to begin.
     """
-    stopped = threading.Event()
     with contextlib.ExitStack() as stack:
         shown: Callable[[Snapshot], None] | None = None
         if console is not None:
             console.print(f"{side.name}: {', '.join(side.settings) or 'the file as it is'}")
             shown = stack.enter_context(Progress(side.graph.topology, console))
-
-        def watch(snapshot: Snapshot) -> None:
-            if stopped.is_set():
-                raise KeyboardInterrupt
-            if shown is not None:
-                shown(snapshot)
-
-        def run() -> RunResult:
-            go = functools.partial(run_graph, side.graph, side.catalog, speed=None, progress=watch)
-            go(duration_s=FIRST_FRAMES_S)
+        for seconds in (FIRST_FRAMES_S, duration_s):
             for kept in side.kept.values():
                 kept.clear()
-            return go(duration_s=duration_s)
-
-        pool = stack.enter_context(ThreadPoolExecutor(1, f"compare-{side.name}"))
-        running = pool.submit(run)
-        try:
-            return running.result()
-        except KeyboardInterrupt:
-            stopped.set()
-            raise
+            result = run_graph(
+                side.graph, side.catalog, speed=None, duration_s=seconds, progress=shown
+            )
+            if result.ended.startswith("signal"):
+                raise KeyboardInterrupt
+    return result
 
 
 def _costs(

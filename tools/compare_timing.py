@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 
-from pipeline.drivers.statistics import Quantiles
+from pipeline.drivers.quantiles import Quantiles
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph, GraphDevice
 from pipeline.model import Accelerator, BoundModel, ModelSpec, Native, Tensors

@@ -17,6 +17,7 @@ import typer
 
 from pipeline.errors import DeviceError, GraphError, OverflightError, StageError
 from tools.models import app as models_app
+from tools.train.commands import app as train_app
 
 PACKAGES = ("pipeline", "accelerators", "stages", "graphs", "tools")
 
@@ -31,6 +32,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(models_app, name="models")
+app.add_typer(train_app, name="train")
 
 
 class Drawing(StrEnum):
@@ -122,6 +124,21 @@ def run(
             metavar="FILE", help="Write rates, ages and losses as JSON.", show_default=False
         ),
     ] = None,
+    trace: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write every run, wait, loss and decision as a Chrome trace, to look at in "
+            "ui.perfetto.dev; FILE.gz is compressed.",
+            show_default=False,
+        ),
+    ] = None,
+    trace_entries: Annotated[
+        int,
+        typer.Option(
+            metavar="COUNT", min=1, help="Keep so many entries of the trace, the last ones."
+        ),
+    ] = 200_000,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the report as JSON instead of a table.")
     ] = False,
@@ -142,12 +159,91 @@ def run(
         duration_s=duration,
         out=out,
         report=report,
+        trace=trace,
+        trace_entries=trace_entries,
         as_json=as_json,
         quiet=quiet,
     )
     for failure in failures:
         complain(failure)
     if failures:
+        raise typer.Exit(RUN_FAILED)
+
+
+@app.command(
+    epilog="Examples: overflight top. overflight top uav. overflight top 4711 --once --json"
+)
+def top(
+    which: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[GRAPH|PROCESS]",
+            help="The name of a graph that runs, or its process id.",
+            show_default="the one that runs",
+        ),
+    ] = None,
+    once: Annotated[
+        bool, typer.Option("--once", help="Print how it stands now, and leave.")
+    ] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print JSON: a line twice a second, with --once one page."),
+    ] = False,
+) -> None:
+    """Watch a graph that runs in another shell: rates, CPU, queues, losses, ages, devices."""
+    from tools.top import watch
+
+    watch(which, once=once, as_json=as_json)
+
+
+@app.command(
+    epilog="Examples: overflight check graphs/drive.yaml --on my_drive --overlay limits.yaml. "
+    "overflight check uav.yaml --on flight=field.mcap --duration 60 --json"
+)
+def check(
+    graph: GraphFile,
+    on: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--on",
+            metavar="RECORDING",
+            help="What to run it on: the value of the file's parameter `recording`, or NAME=VALUE "
+            "for a parameter of another name. Repeatable.",
+            show_default="as the file says",
+        ),
+    ] = None,
+    settings: Settings = None,
+    overlays: Overlays = None,
+    models: ModelFiles = None,
+    speed: Annotated[
+        str,
+        typer.Option(metavar="FACTOR", help="As of run; max judges losses alone, not times."),
+    ] = "1",
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", min=0.0, help="Run so long.", show_default="until the sources end"
+        ),
+    ] = None,
+    out: Out = Path("out"),
+    as_json: AsJson = False,
+) -> None:
+    """Run a graph and check it against its `expect` block. Exit code 1: something was not met."""
+    factor = parse_speed(speed)
+    from tools.check import check_file
+
+    well = check_file(
+        graph,
+        on=on or (),
+        settings=settings or (),
+        overlays=overlays or (),
+        models=models or (),
+        speed=factor,
+        duration_s=duration,
+        out=out,
+        as_json=as_json,
+    )
+    if not well:
         raise typer.Exit(RUN_FAILED)
 
 
@@ -194,7 +290,8 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="PATH",
-            help="The same with true labels. A map alone is measured for sharpness.",
+            help="The same with true labels, or a simulated flight for a map. A map alone is "
+            "measured for sharpness.",
             show_default=False,
         ),
     ] = None,
@@ -254,7 +351,7 @@ def evaluate(
             metavar="M",
             min=0.0,
             help="How far the voxel of an annotated point may be.",
-            show_default="a voxel",
+            show_default="a voxel; 0 where the truth has voxels of the same size",
         ),
     ] = None,
     voxel_m: Annotated[
@@ -291,6 +388,53 @@ def evaluate(
         voxel_m=voxel_m,
         as_json=as_json,
         png=png,
+    )
+
+
+@app.command(
+    name="evaluate-detections",
+    epilog="Example: overflight evaluate-detections detect-thermal --images annotated/ --pictures "
+    "out/boxes",
+)
+def judge_detections(
+    model: Annotated[
+        str, typer.Argument(metavar="MODEL", help="A model of the registry.", show_default=False)
+    ],
+    images: Annotated[
+        Path,
+        typer.Option(
+            metavar="FOLDER", help="Images with COCO annotations (ann.json).", show_default=False
+        ),
+    ],
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND",
+            help="Which of its files: tflite, openvino, onnx.",
+            show_default="its first",
+        ),
+    ] = None,
+    min_iou: Annotated[
+        float, typer.Option(metavar="IOU", min=0.05, max=0.95, help="What counts as found.")
+    ] = 0.5,
+    pictures: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Draw every image with its boxes.", show_default=False),
+    ] = None,
+    models: ModelFiles = None,
+    as_json: AsJson = False,
+) -> None:
+    """Judge a detector by boxes that people drew: average precision, recall, cost of a frame."""
+    from tools.evaluate_detections import evaluate_detections
+
+    evaluate_detections(
+        model,
+        images,
+        registries=models or (),
+        kind=kind,
+        min_iou=min_iou,
+        pictures=pictures,
+        as_json=as_json,
     )
 
 
@@ -456,6 +600,167 @@ def compare(
     for failure in failures:
         complain(failure)
     if failures:
+        raise typer.Exit(RUN_FAILED)
+
+
+@app.command(
+    epilog="Examples: overflight profile graphs/emulated_uav.yaml --html profile.html. "
+    "overflight profile graphs/drive.yaml --sweep executor --sweep rate_hz=1,2,5,10,15 "
+    "--plot load.svg. overflight profile graph.yaml --sweep executor --save-costs costs.yaml"
+)
+def profile(
+    graph: GraphFile,
+    settings: Settings = None,
+    overlays: Overlays = None,
+    models: ModelFiles = None,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="WHAT",
+            help="executor: each model alone on every device that can run it. rate_hz=1,2,5: at "
+            "these input rates. overlay=a.yaml,b.yaml: the graph under each file. Repeatable.",
+            show_default=False,
+        ),
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            min=1.0,
+            help="Of the run, or of every run of a sweep. Ctrl-C stops earlier.",
+            show_default="20, in a sweep 5",
+        ),
+    ] = None,
+    out: Out = Path("out"),
+    html: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write one page with tables and plots.", show_default=False
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Draw a sweep's CPU load over rate as SVG.", show_default=False
+        ),
+    ] = None,
+    save_costs: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write what every step cost, for 'plan'.", show_default=False
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure what every stage costs in real time: CPU by part, waits, device time, age, losses."""
+    from tools.profile import profile_file
+
+    failures = profile_file(
+        graph,
+        settings=settings or (),
+        overlays=overlays or (),
+        models=models or (),
+        sweep=sweep or (),
+        duration_s=duration,
+        out=out,
+        html=html,
+        plot=plot,
+        costs=save_costs,
+        as_json=as_json,
+    )
+    for failure in failures:
+        complain(failure)
+    if failures:
+        raise typer.Exit(RUN_FAILED)
+
+
+@app.command(
+    epilog="Examples: overflight profile graphs/emulated_uav.yaml --save-costs costs.yaml, then "
+    "overflight plan graphs/emulated_uav.yaml --costs costs.yaml --picture schedule.svg. "
+    "overflight plan uav.yaml --max-cpu 1.5 --min-rate semantic_map=9 --json"
+)
+def plan(
+    graph: GraphFile,
+    settings: Settings = None,
+    overlays: Overlays = None,
+    models: ModelFiles = None,
+    costs: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="What each step costs: of overflight profile --save-costs.",
+            show_default="the latencies in the file and the shipped ones",
+        ),
+    ] = None,
+    seconds: Annotated[
+        float,
+        typer.Option(metavar="SECONDS", min=1.0, help="Virtual time of each assignment."),
+    ] = 30.0,
+    limit: Annotated[
+        float,
+        typer.Option(
+            metavar="SECONDS", min=0.0, help="Real time for all of them. Ctrl-C stops earlier."
+        ),
+    ] = 60.0,
+    cores: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", min=1, help="Of the computer that flies.", show_default="the cost table's"
+        ),
+    ] = None,
+    max_cpu: Annotated[
+        float | None,
+        typer.Option(
+            metavar="CORES",
+            min=0.0,
+            help="Demand that the process takes no more.",
+            show_default="the file's expect block",
+        ),
+    ] = None,
+    min_rate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="OUTPUT=HZ",
+            help="Demand a rate of an output. Repeatable.",
+            show_default="the file's expect block",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Another draw of all times.")] = 0,
+    top: Annotated[int, typer.Option(min=1, help="How many assignments the table shows.")] = 10,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Draw the schedule of the best assignment (.svg or .png).",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Predict rates, ages, losses and load for every assignment of stages to devices.
+
+    Runs the real scheduler in virtual time; nothing is executed. Exit code 1: no assignment meets
+    the demands.
+    """
+    from tools.plan import plan_file
+
+    met = plan_file(
+        graph,
+        settings=settings or (),
+        overlays=overlays or (),
+        models=models or (),
+        costs=costs,
+        seconds=seconds,
+        limit_s=limit,
+        cores=cores,
+        max_cpu=max_cpu,
+        min_rates=min_rate or (),
+        seed=seed,
+        top=top,
+        picture=picture,
+        as_json=as_json,
+    )
+    if not met:
         raise typer.Exit(RUN_FAILED)
 
 

@@ -8,6 +8,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+#: What a run of a stage with a model consists of.
+STEPS = ("prepare", "infer", "finish")
+
+#: Events that tell the story of a device, and their colors.
+DEVICE_EVENTS = {"device_down": "yellow", "device_hung": "yellow", "device_up": "green"}
+
 #: The ledger's reasons (`pipeline.scheduling.events.Reason`) in a newcomer's words.
 WHY = {
     "replaced": "a newer one came before the stage was free",
@@ -25,11 +31,23 @@ WHY = {
 
 def print_report(report: Mapping[str, Any], console: Console) -> None:
     """Print the tables of a report as `run --report` writes it."""
-    console.print(f"\n[bold]{report['graph']}[/bold] ran {report['wall_s']:.1f} s\n")
+    console.print(
+        f"\n[bold]{report['graph']}[/bold] ran {report['wall_s']:.1f} s ({report['ended']})\n"
+    )
     console.print(_outputs(report["outputs"]))
     console.print(
         "Age: from the oldest sensor sample that went in until the output.\n", style="dim"
     )
+    if any(device["runs"] for device in report["devices"].values()):
+        console.print(_devices(report["devices"]))
+        console.print("Wait: what a prepared run waits for its device.\n", style="dim")
+    for event in report["events"]:
+        if event["kind"] in DEVICE_EVENTS:
+            line = f"{event['at_s']:7.2f} s  {event['of']} {event['text']}"
+            console.print(line, style=DEVICE_EVENTS[event["kind"]], highlight=False, soft_wrap=True)
+    console.print(_cpu(report["stages"], report["wall_s"]))
+    console.print("A run: mean CPU time, and of it the steps of a stage with a model.", style="dim")
+    console.print(_beside_stages(report.get("cpu", {})), style="dim", highlight=False)
     lossy = {edge: book for edge, book in report["edges"].items() if any(book["dropped"].values())}
     if lossy:
         console.print(_losses(lossy))
@@ -66,6 +84,54 @@ def _outputs(outputs: Mapping[str, Any]) -> Table:
             _number(age.get("p99"), "ms", 0),
         )
     return table
+
+
+def _devices(devices: Mapping[str, Any]) -> Table:
+    table = Table("device", box=None, pad_edge=False, header_style="bold")
+    for column in ("runs", "busy", "wait p50", "wait p99"):
+        table.add_column(column, justify="right")
+    for name, device in devices.items():
+        what = f"{name}: {device['is'] or '-'}" + ("" if device["up"] else " (lost)")
+        table.add_row(what, *_used(device))
+        for stage, used in device["stages"].items():
+            table.add_row(f"  {stage}", *_used(used), style="dim")
+    return table
+
+
+def _used(used: Mapping[str, Any]) -> tuple[str, ...]:
+    busy, wait = used["busy_fraction"], used["wait_ms"] or {}
+    return (
+        str(used["runs"]),
+        _number(None if busy is None else 100 * busy, "%", 1),
+        _number(wait.get("p50"), "ms", 1),
+        _number(wait.get("p99"), "ms", 1),
+    )
+
+
+def _cpu(stages: Mapping[str, Any], wall_s: float) -> Table:
+    table = Table("CPU of", box=None, pad_edge=False, header_style="bold")
+    for column in ("runs", "a run", *STEPS, "of a core"):
+        table.add_column(column, justify="right")
+    for name, stage in stages.items():
+        steps = stage["cpu_ms"]
+        run_ms = sum(steps.values())
+        table.add_row(
+            name,
+            str(stage["runs"]),
+            _number(run_ms if stage["runs"] else None, "ms", 2),
+            *(f"{steps[step]:.2f}" if step in steps else "" for step in STEPS),
+            _number(run_ms * stage["runs"] / max(wall_s, 1e-3) / 10, "%", 1),
+        )
+    return table
+
+
+def _beside_stages(cpu: Mapping[str, Any]) -> str:
+    """What the process took apart from its stages, and in all."""
+    parts = [f"{name} {100 * cores:.1f} %" for name, cores in cpu.get("parts_cores", {}).items()]
+    if not parts:
+        return ""
+    whole = f"the process in all {100 * cpu['process_cores']:.1f} % of a core"
+    return f"Beside the stages: {', '.join(parts)}; {whole}.\n"
 
 
 def _losses(edges: Mapping[str, Any]) -> Table:

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import typer
 from rich.console import Console
 
+from pipeline.drivers.board import Board
+from pipeline.drivers.expectations import failed, verdicts
 from pipeline.drivers.run import run_graph
+from pipeline.drivers.trace import CAPACITY, Trace
+from tools.check import verdict_table
 from tools.load import open_graph
 from tools.progress import Progress
 from tools.report import print_report
+from tools.trace import write_trace
 from tools.validate import print_warnings
 
 
@@ -28,10 +35,12 @@ def run_file(
     duration_s: float | None = None,
     out: Path = Path("out"),
     report: Path | None = None,
+    trace: Path | None = None,
+    trace_entries: int = CAPACITY,
     as_json: bool = False,
     quiet: bool = False,
 ) -> Sequence[str]:
-    """Run it, tell of it, and return what failed (empty when all is well).
+    """Run it, tell of it, and return what failed or is not as the file expects (empty: all well).
 
     Progress and warnings go to stderr; the table, or with `as_json` the report, to stdout.
     """
@@ -40,19 +49,34 @@ def run_file(
         print_warnings(graph.warnings)
     if report is not None:
         make_room_for(report)
+    if trace is not None:
+        make_room_for(trace, "trace")
     started = time.time()
-    if quiet:
-        result = run_graph(graph, catalog, speed=speed, duration_s=duration_s)
-    else:
-        with Progress(graph.topology, Console(stderr=True)) as progress:
+    recorded = None if trace is None else Trace(trace_entries)
+    try:
+        with contextlib.ExitStack() as stack:
+            progress = Progress(graph.topology, Console(stderr=True))
             result = run_graph(
-                graph, catalog, speed=speed, duration_s=duration_s, progress=progress
+                graph,
+                catalog,
+                speed=speed,
+                duration_s=duration_s,
+                progress=None if quiet else stack.enter_context(progress),
+                trace=recorded,
+                board=_open_board(stack),
             )
+    finally:  # a run that ended badly is the one to look at
+        if recorded is not None and trace is not None and recorded.recorded:
+            if not quiet:
+                typer.echo(f"Writing {trace} ...", err=True)
+            write_trace(recorded, graph.topology, graph.name, trace)
     for event in result.events:
-        _, newline, trace = event.text.partition("\n")
+        _, newline, lines = event.text.partition("\n")
         if newline:  # a defect of ours or of the user's own stage: that one keeps its traceback
-            typer.echo(trace, err=True)
-    text = json.dumps(result.report, indent=2)
+            typer.echo(lines, err=True)
+    judged = verdicts(graph.expect, result.report)
+    page = {**result.report, "expectations": [asdict(verdict) for verdict in judged]}
+    text = json.dumps(page, indent=2)
     if report is not None:
         report.write_text(text + "\n")
     if as_json:
@@ -60,21 +84,37 @@ def run_file(
     elif not quiet:
         console = Console()
         print_report(result.report, console)
-        files = [*_written(out, started), *([report] if report is not None else [])]
+        if judged:
+            console.print("\n", verdict_table(judged), sep="")
+        files = [*_written(out, started), *(file for file in (report, trace) if file is not None)]
         if files:
             names = ", ".join(dict.fromkeys(map(str, files)))
             console.print(f"Written: {names}", highlight=False, soft_wrap=True)
-    return result.failures
+        if recorded is not None:
+            told = f"{trace} has {recorded.recorded - recorded.overwritten} entries"
+            if recorded.overwritten:
+                told += f"; {recorded.overwritten} older ones were overwritten (--trace-entries)"
+            console.print(f"{told}. Open it at ui.perfetto.dev.", highlight=False, soft_wrap=True)
+    return (*result.failures, *failed(judged))
 
 
-def make_room_for(report: Path) -> None:
-    """Fail before the flight, not after it, where the report cannot be written."""
+def make_room_for(file: Path, what: str = "report") -> None:
+    """Fail before the flight, not after it, where a file cannot be written."""
     try:
-        report.parent.mkdir(parents=True, exist_ok=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise typer.BadParameter(f"no place for the report {report}: {error.strerror}") from None
-    if report.is_dir() or not os.access(report if report.exists() else report.parent, os.W_OK):
-        raise typer.BadParameter(f"the report {report} cannot be written there")
+        raise typer.BadParameter(f"no place for the {what} {file}: {error.strerror}") from None
+    if file.is_dir() or not os.access(file if file.exists() else file.parent, os.W_OK):
+        raise typer.BadParameter(f"the {what} {file} cannot be written there")
+
+
+def _open_board(stack: contextlib.ExitStack) -> Board | None:
+    """Where `overflight top` reads how the run stands; a run goes on without it."""
+    try:
+        return stack.enter_context(Board())
+    except OSError as error:
+        typer.echo(f"`overflight top` will not see this run: {error}", err=True)
+        return None
 
 
 def _written(folder: Path, since: float) -> Iterator[Path]:

@@ -4,32 +4,34 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from statistics import median_low
-from types import FrameType
 from typing import Any
 
-from pipeline.clock import ScaledClock
+from pipeline.clock import Clock, ManualClock, ScaledClock
+from pipeline.drivers.announcements import logged_as_events
+from pipeline.drivers.board import Board
+from pipeline.drivers.devices import Devices
+from pipeline.drivers.ending import Ended, stopped_by_signals
 from pipeline.drivers.executor import Worker
 from pipeline.drivers.live import LiveDriver
+from pipeline.drivers.observers import observed_by
 from pipeline.drivers.offline import OfflineDriver
+from pipeline.drivers.profiler import Profiler
 from pipeline.drivers.report import build_report
 from pipeline.drivers.statistics import Event, Statistics
-from pipeline.errors import DeviceError, OverflightError
+from pipeline.drivers.status import LOSSES, Status
+from pipeline.drivers.trace import Trace, TracedWorker
+from pipeline.errors import OverflightError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph
 from pipeline.message import Message
-from pipeline.model import Accelerator, BoundModel
-from pipeline.scheduling.events import Reason
 from pipeline.scheduling.scheduler import Scheduler
 from pipeline.scheduling.topology import Port
 from pipeline.stage import ModelStage, Source, Stage
-
-#: Reasons that a person watching a run counts as a loss.
-LOSSES = tuple(set(Reason) - {Reason.PASSED_OVER, Reason.DECIMATED, Reason.NOT_WANTED})
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,7 @@ class RunResult:
     report: dict[str, Any]
     failures: tuple[str, ...]  #: what failed, one sentence each; empty when all is well
     events: tuple[Event, ...] = field(default=())
+    ended: str = Ended.SOURCES  #: one of `Ended`, or ``signal SIGINT``
 
 
 def run_graph(
@@ -67,17 +70,27 @@ def run_graph(
     speed: float | None = 1.0,
     duration_s: float | None = None,
     progress: Callable[[Snapshot], None] | None = None,
+    profiler: Profiler | None = None,
+    trace: Trace | None = None,
+    board: Board | None = None,
 ) -> RunResult:
     """Run a graph to the end of its sources, for `duration_s`, or to Ctrl-C.
 
     `speed` is graph time over real time; None is offline: as fast as possible, nothing dropped,
-    the same results every time. Raises OverflightError where a device or stage does not open.
+    the same results every time. A `trace` records the run; on a `board` other processes see how it
+    stands. Raises OverflightError where a device or stage does not open.
     """
     offline = speed is None
-    statistics = Statistics(offline=offline)
-    scheduler = Scheduler(graph.topology, offline=offline, observer=statistics)
+    statistics = Statistics(offline=offline, profiler=profiler)
+    profiler = statistics.profiler
+    observers = [statistics, *([trace] if trace is not None else [])]
+    scheduler = Scheduler(graph.topology, offline=offline, observer=observed_by(*observers))
+    if trace is not None:
+        statistics.on_event = trace.told
+    status = None
+    if board is not None:
+        status = Status(board, graph.name, graph.topology, scheduler, statistics)
     started = time.monotonic_ns()
-    cpu_started = time.process_time_ns()
 
     def on_failure(stage: str, error: BaseException, text: str, stamp: int | None) -> None:
         statistics.failed(stage, error, text, stamp, stamp or 0)
@@ -85,83 +98,72 @@ def run_graph(
     def tick() -> None:
         if progress is not None:
             progress(_snapshot(graph, statistics, time.monotonic_ns() - started))
+        if status is not None:
+            status.tick()
 
+    def on_signal(number: signal.Signals) -> None:
+        text = f"by {number.name}: runs in flight end, what is queued is dropped"
+        statistics.event("stopped", graph.name, text, clock.now())
+        signaled.append(number)
+        driver.stop()
+
+    signaled: list[signal.Signals] = []
+    clock: Clock = ManualClock()  # nothing runs yet: it stands at 0
     with contextlib.ExitStack() as stack:
-        models = _open_models(graph, catalog, scheduler, statistics, stack)
+        stack.enter_context(logged_as_events(statistics, lambda: clock.now()))
+        stack.enter_context(profiler)
+        devices = stack.enter_context(Devices(graph, catalog, profiler))
+        for name, reason in devices.open().items():
+            text = f"does not open: {reason}"
+            statistics.event("device_error", name, text, 0)
+            scheduler.device_down(name, 0)
         stages = _open_stages(graph, catalog, stack, statistics)
+        worker = Worker if trace is None else partial(TracedWorker, trace=trace)
         workers = {
-            node.name: Worker(node, stages[node.name], models.get(node.name))
+            node.name: worker(node, stages[node.name], devices.models(node.name))
             for node in graph.topology.stages
         }
         sources: dict[str, Iterator[Message[Any]]] = {
             name: stage.messages() for name, stage in stages.items() if isinstance(stage, Source)
         }
+        if speed is not None:
+            sources, origin = _first_arrivals(sources)
+        if trace is not None:
+            sources = {name: trace.samples(name, source) for name, source in sources.items()}
         driver: LiveDriver | OfflineDriver
         if speed is None:
+            clock = ManualClock()
             driver = OfflineDriver(
-                graph.topology, scheduler, workers, sources, statistics, on_failure
+                graph.topology, scheduler, workers, sources, clock, statistics, on_failure
             )
         else:
-            sources, origin = _first_arrivals(sources)
+            clock = ScaledClock(origin, speed)
             driver = LiveDriver(
                 graph.topology,
                 scheduler,
                 workers,
                 sources,
-                ScaledClock(origin, speed),
+                clock,
+                devices,
                 statistics,
                 on_failure,
             )
         started = time.monotonic_ns()
-        cpu_started = time.process_time_ns()
-        with _stopped_by_signals(driver.stop):
-            driver.run(duration_s, tick)
+        profiler.start(graph.devices)
+        if status is not None:
+            status.begin(speed, clock, driver.still)
+        with stopped_by_signals(on_signal):
+            how = driver.run(duration_s, tick)
         wall_ns = time.monotonic_ns() - started
-        cpu_ns = time.process_time_ns() - cpu_started
+        cpu = profiler.stop(statistics.scheduler_ns)
         own = {name: dict(stage.statistics()) for name, stage in stages.items()}
-    report = build_report(graph, scheduler, statistics, own, wall_ns, cpu_ns, offline=offline)
-    return RunResult(report, tuple(statistics.failures), tuple(statistics.events))
-
-
-def _open_models(
-    graph: Graph,
-    catalog: Catalog,
-    scheduler: Scheduler,
-    statistics: Statistics,
-    stack: contextlib.ExitStack,
-) -> dict[str, dict[str, BoundModel]]:
-    """Open every device that a ladder names and load the models on it: by stage, then device.
-
-    A device that does not open is announced and left out where the ladder goes on without it.
-    """
-    devices: dict[str, Accelerator] = {}
-    down: dict[str, str] = {}
-    for name in dict.fromkeys(rung for stage in graph.stages for rung in stage.ladder):
-        device = graph.devices[name].make()
-        stack.callback(device.close)
-        probe = device.probe()
-        if probe.available:
-            devices[name] = device
-        else:
-            down[name] = probe.reason
-    loaded: dict[tuple[str, str], BoundModel] = {}
-    models: dict[str, dict[str, BoundModel]] = {}
-    for stage in graph.stages:
-        if stage.model is None:
-            continue
-        rungs = [rung for rung in stage.ladder if rung in devices]
-        if not rungs:
-            reasons = "; ".join(f"{rung}: {down[rung]}" for rung in stage.ladder)
-            raise DeviceError(f"stages.{stage.name}: no device of its executor opens ({reasons})")
-        for rung in rungs:
-            key = (stage.model, rung)
-            if key not in loaded:
-                loaded[key] = catalog.load(stage.model, devices[rung])
-            models.setdefault(stage.name, {})[rung] = loaded[key]
-    for name, reason in down.items():
-        statistics.event("device_down", name, f"does not open, left out: {reason}", 0)
-        scheduler.device_down(name, 0)
-    return models
+        known = devices.describe()
+    report = build_report(
+        graph, scheduler, statistics, own, known, wall_ns, cpu.total, offline=offline, cpu=cpu
+    )
+    ended = f"signal {signaled[0].name}" if signaled else str(how)
+    report["ended"] = ended
+    return RunResult(report, tuple(statistics.failures), tuple(statistics.events), ended)
 
 
 def _open_stages(
@@ -175,7 +177,8 @@ def _open_stages(
             stage.model = catalog.spec(planned.model)
         stack.callback(_close, planned.name, stage, statistics)
         try:
-            stage.open()
+            with statistics.profiler.building(planned.name):
+                stage.open()
         except OSError as error:
             raise OverflightError(f"stages.{planned.name}: does not open: {error}") from error
         stages[planned.name] = stage
@@ -228,26 +231,3 @@ def _snapshot(graph: Graph, statistics: Statistics, elapsed_ns: int) -> Snapshot
         sum(statistics.drops[reason] for reason in LOSSES),
         statistics.events,
     )
-
-
-@contextlib.contextmanager
-def _stopped_by_signals(stop: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C and SIGTERM ask the run to end; a second one raises KeyboardInterrupt."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    asked = False
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked:
-            raise KeyboardInterrupt
-        asked = True
-        stop()
-
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

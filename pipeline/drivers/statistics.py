@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from array import array
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any
 
+from pipeline.drivers.profiler import Profiler, Spent
+from pipeline.drivers.quantiles import Quantiles
 from pipeline.errors import OverflightError
-from pipeline.message import Message
+from pipeline.message import Message, Sample
 from pipeline.scheduling.events import Observer, Reason, Refusal, Run, Step
 from pipeline.scheduling.topology import Port
-
-#: Values kept for quantiles. At 30 Hz that is half an hour; later ones replace random earlier ones.
-RESERVOIR = 1 << 16
-
 
 #: Told of an exception of a stage: its name, the error, the traceback, and the trigger's stamp
 #: (None for a source).
@@ -27,41 +24,6 @@ OnFailure = Callable[[str, BaseException, str, int | None], None]
 RECENT = 31
 
 
-class Quantiles:
-    """A bounded sample of integers with exact count and quantiles over what is kept."""
-
-    __slots__ = ("_state", "_values", "count")
-
-    def __init__(self) -> None:
-        self._values = array("q")
-        self.count = 0
-        self._state = 1
-
-    def add(self, value: int) -> None:
-        self.count += 1
-        if len(self._values) < RESERVOIR:
-            self._values.append(value)
-            return
-        # A linear congruential step is random enough to choose whom to replace, and repeatable.
-        self._state = (self._state * 6364136223846793005 + 1442695040888963407) & (2**64 - 1)
-        place = (self._state >> 16) % self.count
-        if place < RESERVOIR:
-            self._values[place] = value
-
-    def at(self, fraction: float) -> int | None:
-        """The nearest-rank quantile; None while empty."""
-        if not self._values:
-            return None
-        ordered = sorted(self._values)
-        return ordered[min(int(fraction * len(ordered)), len(ordered) - 1)]
-
-
-def milliseconds(quantiles: Quantiles) -> dict[str, float | None]:
-    """p50 and p99 in ms."""
-    values = {"p50": quantiles.at(0.50), "p99": quantiles.at(0.99)}
-    return {name: None if ns is None else round(ns / 1e6, 3) for name, ns in values.items()}
-
-
 @dataclass(slots=True)
 class PortStatistics:
     """One output port."""
@@ -69,9 +31,24 @@ class PortStatistics:
     count: int = 0
     first_ns: int = 0
     last_ns: int = 0
+    longest_gap_ns: int = 0  #: between two messages
     age_from_stamp: Quantiles = field(default_factory=Quantiles)
     age_from_arrival: Quantiles = field(default_factory=Quantiles)
+    lineage: Sequence[Sample] = ()  #: of the last message
     recent_ages: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
+    age_by_stream: dict[str, Quantiles] = field(default_factory=dict)  #: where several went in
+
+    def note_streams(self, lineage: Sequence[Sample], now: int) -> None:
+        """The age of the oldest sample of each sensor that went in."""
+        oldest: dict[str, int] = {}
+        for sample in lineage:
+            if sample.stamp < oldest.get(sample.stream, now + 1):
+                oldest[sample.stream] = sample.stamp
+        for stream, stamp in oldest.items():
+            ages = self.age_by_stream.get(stream)
+            if ages is None:
+                ages = self.age_by_stream[stream] = Quantiles()
+            ages.add(now - stamp)
 
     def rate_hz(self) -> float | None:
         """Messages a second between the first and the last."""
@@ -84,7 +61,9 @@ class PortStatistics:
 class StageStatistics:
     """One stage: latency of its runs and the CPU of its steps."""
 
-    latency: Quantiles = field(default_factory=Quantiles)
+    latency: Quantiles = field(default_factory=Quantiles)  #: from the trigger's arrival
+    queued: Quantiles = field(default_factory=Quantiles)  #: from the trigger's arrival to the start
+    ran: Quantiles = field(default_factory=Quantiles)  #: from the start to the end
     cpu_ns: Counter[Step] = field(default_factory=Counter)
     steps: Counter[Step] = field(default_factory=Counter)
     errors: int = 0
@@ -106,12 +85,15 @@ _stamp = attrgetter("stamp")
 class Statistics(Observer):
     """Collects while the graph runs; written under the driver's lock only."""
 
-    def __init__(self, *, offline: bool) -> None:
+    def __init__(self, *, offline: bool, profiler: Profiler | None = None) -> None:
         self.offline = offline
+        self.profiler = profiler or Profiler()
         self.ports: dict[Port, PortStatistics] = {}
         self.stages: dict[str, StageStatistics] = {}
         self.drops: Counter[Reason] = Counter()
         self.refusals: Counter[Refusal] = Counter()
+        #: Told of each event: its kind, its subject, its text, and the graph's time.
+        self.on_event: Callable[[str, str, str, int], None] | None = None
         self.events: list[Event] = []
         self.failures: list[str] = []
         self._failed: set[tuple[str, str]] = set()
@@ -120,14 +102,19 @@ class Statistics(Observer):
     def published(self, port: Port, message: Message[Any], now: int) -> None:
         statistics = self.ports.get(port)
         if statistics is None:
-            statistics = self.ports[port] = PortStatistics(first_ns=now)
+            statistics = self.ports[port] = PortStatistics(first_ns=now, last_ns=now)
         statistics.count += 1
+        gap = now - statistics.last_ns
+        if gap > statistics.longest_gap_ns:
+            statistics.longest_gap_ns = gap
         statistics.last_ns = now
+        statistics.lineage = message.lineage
         if self.offline or not message.lineage:
             return
         oldest = message.lineage[0]
         if len(message.lineage) > 1:
             oldest = min(message.lineage, key=_stamp)
+            statistics.note_streams(message.lineage, now)
         age = now - oldest.stamp
         statistics.recent_ages.append(age)
         statistics.age_from_stamp.add(age)
@@ -149,9 +136,14 @@ class Statistics(Observer):
         if how == "failed":
             statistics.errors += 1
         elif how == "finished" and not self.offline:
-            statistics.latency.add(now - run.inputs.trigger.received)
+            arrived = run.inputs.trigger.received
+            statistics.latency.add(now - arrived)
+            statistics.queued.add(run.started - arrived)
+            statistics.ran.add(now - run.started)
 
     def event(self, kind: str, subject: str, text: str, now: int) -> None:
+        if self.on_event is not None:
+            self.on_event(kind, subject, text, now)
         if len(self.events) < 10_000:
             self.events.append(Event(now, kind, subject, text))
 
@@ -180,3 +172,8 @@ class Statistics(Observer):
         statistics = self.stage(stage)
         statistics.cpu_ns[step] += cpu_ns
         statistics.steps[step] += 1
+
+    def spent(self, stage: str, step: Step, device: str | None, spent: Spent) -> None:
+        """A step on a device took this."""
+        self.step(stage, step, spent.cpu_ns + spent.transfer_ns)
+        self.profiler.book(stage, step, device, spent)

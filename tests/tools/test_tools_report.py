@@ -15,7 +15,16 @@ def report() -> dict[str, Any]:
     return {
         "graph": "uav",
         "wall_s": 15.0,
-        "stages": {"detect": {"runs": 200, "errors": 3, "stopped": True}},
+        "ended": "duration",
+        "stages": {
+            "rgb": {"runs": 450, "errors": 0, "stopped": False, "cpu_ms": {"process": 0.02}},
+            "detect": {
+                "runs": 200,
+                "errors": 3,
+                "stopped": True,
+                "cpu_ms": {"prepare": 1.25, "infer": 0.5, "finish": 2.0},
+            },
+        },
         "edges": {
             "rgb/out->detect/image": {
                 "produced": 450,
@@ -26,6 +35,26 @@ def report() -> dict[str, Any]:
             }
         },
         "ledger_balanced": True,
+        "devices": {
+            "edgetpu": {
+                "runs": 200,
+                "busy_fraction": 0.512,
+                "wait_ms": {"p50": 1.0, "p99": 20.0},
+                "up": False,
+                "is": "emulated",
+                "stages": {
+                    "detect": {
+                        "runs": 200,
+                        "busy_fraction": 0.512,
+                        "wait_ms": {"p50": 1.0, "p99": 20.0},
+                    }
+                },
+            }
+        },
+        "events": [
+            {"at_s": 3.02, "kind": "device_down", "of": "edgetpu", "text": "is lost; a reason"},
+            {"at_s": 4.0, "kind": "stale", "of": "x", "text": "not of a device"},
+        ],
         "outputs": {
             "rgb/out": {
                 "count": 450,
@@ -43,6 +72,14 @@ def report() -> dict[str, Any]:
     }
 
 
+def test_devices_show_their_load_their_stages_and_their_story(report: dict[str, Any]) -> None:
+    lines = printed(report)
+    assert "edgetpu: emulated (lost) 200 51.2 % 1.0 ms 20.0 ms" in lines
+    assert "detect 200 51.2 % 1.0 ms 20.0 ms" in lines
+    assert "3.02 s edgetpu is lost; a reason" in lines
+    assert not any("not of a device" in line for line in lines)
+
+
 def printed(report: dict[str, Any]) -> list[str]:
     console = Console(file=io.StringIO(), width=140)
     print_report(report, console)
@@ -56,6 +93,12 @@ def test_each_output_shows_its_rate_and_age(report: dict[str, Any]) -> None:
 
 def test_what_has_no_meaning_offline_is_a_dash(report: dict[str, Any]) -> None:
     assert "detect/out 230 - - -" in printed(report)
+
+
+def test_each_stage_shows_the_cpu_time_of_a_run_and_of_its_steps(report: dict[str, Any]) -> None:
+    lines = printed(report)
+    assert "detect 200 3.75 ms 1.25 0.50 2.00 5.0 %" in lines
+    assert "rgb 450 0.02 ms 0.1 %" in lines
 
 
 def test_a_loss_shows_its_edge_its_share_and_the_reason_in_words(report: dict[str, Any]) -> None:

@@ -25,6 +25,7 @@ NAMES = (
     "profiler",
     "kernels",
     "plan",
+    "trace",
     "command",
 )
 HEAD = "| benchmark | figure | goal | measured | beside it, same run | ratio | met |"
