@@ -3,8 +3,12 @@ PYTHON ?= python3
 BIN := .venv/bin
 TFLITE := .venv/tflite-runtime
 
+UAV := graphs/emulated_uav.yaml
+# Rows of the paper's Table 2, each with more of the graph than the one before.
+TABLE2 := graphs/profile/segmentation.yaml,graphs/profile/segmentation_detection.yaml,graphs/profile/image_networks.yaml,graphs/profile/image_fusion.yaml,graphs/profile/everything.yaml
+
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-fast check check-tflite-runtime bench clean
+.PHONY: help venv demo test test-fast check check-tflite-runtime bench profile clean
 
 help:  ## Say what each target does
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
@@ -50,6 +54,12 @@ $(TFLITE)/installed: pyproject.toml
 bench: venv  ## Measure the figures of BENCHMARK.md on this machine
 	$(BIN)/python -m tools.bench
 
+profile: venv  ## Measure the paper's Fig 9, Table 1 and Table 2 on emulated devices (8 minutes)
+	$(BIN)/overflight profile $(UAV) --overlay graphs/profile/table1.yaml --sweep executor --html out/profile/table1.html
+	$(BIN)/overflight profile $(UAV) --sweep overlay=$(TABLE2) --duration 10 --html out/profile/table2.html
+	$(BIN)/overflight profile $(UAV) --overlay graphs/profile/table1.yaml --sweep executor --sweep rate_hz=1,2,5,10,15 \
+		--html out/profile/figure9.html --plot out/profile/figure9.svg
+
 clean:  ## Remove what the other targets made
-	rm -rf .venv out/demo build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf .venv out/demo out/profile build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -10,6 +10,10 @@ from pathlib import Path
 def name_this_thread(name: str) -> None:
     """Name the calling thread, for Python and (at most 15 characters) in /proc where it exists."""
     threading.current_thread().name = name
-    path = Path(f"/proc/self/task/{threading.get_native_id()}/comm")
+    name_thread(threading.get_native_id(), name)
+
+
+def name_thread(tid: int, name: str) -> None:
+    """Name any thread of this process by its native id, as above; a native one, too."""
     with contextlib.suppress(OSError):
-        path.write_text(name[:15])
+        Path(f"/proc/self/task/{tid}/comm").write_text(name[:15])

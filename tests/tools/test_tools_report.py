@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from pipeline.scheduling.events import Reason
-from tools.report import WHY, print_report
+from tools.report import WHY, _beside_stages, print_report
 
 
 @pytest.fixture
@@ -122,3 +122,12 @@ def test_an_unbalanced_ledger_is_said_aloud(report: dict[str, Any]) -> None:
 
 def test_every_reason_of_the_ledger_is_explained() -> None:
     assert set(WHY) == set(Reason)
+
+
+def test_what_the_process_takes_beside_its_stages_is_said() -> None:
+    parts = {"scheduler": 0.023, "unattributed": 0.0001}
+    cpu = {"process_cores": 0.54, "parts_cores": parts}
+    said = _beside_stages(cpu)
+    assert "scheduler 2.3 %, unattributed 0.0 %" in said
+    assert "the process in all 54.0 % of a core" in said
+    assert _beside_stages({"process_cores": 0.54}) == ""  # a plan does not know
