@@ -41,6 +41,8 @@ class Timing:
     rate_hz: float  #: nominal rate
     delay_ms: float = 0.0  #: usual arrival delay after the stamp
     jitter_ms: float = 0.0  #: half-width of the stamp's jitter around the nominal rate
+    phase_ms: float | None = None  #: of the first stamp where it is fixed; None: it runs free
+    extent_ms: float = 0.0  #: how far a capture's begin and end lie from its stamp
 
 
 class Stage:

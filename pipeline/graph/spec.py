@@ -227,7 +227,8 @@ class GraphSpec(Spec):
     )
     stages: Mapping[Name, StageSpec] = Field(description="The stages by name.")
     expect: ExpectSpec = Field(
-        default_factory=ExpectSpec, description="What a run must keep to, or it has failed."
+        default_factory=lambda: ExpectSpec.model_validate({}),
+        description="What a run must keep to, or it has failed.",
     )
 
 

@@ -8,6 +8,7 @@ graph's own. Without `count` a stream has no end. The vehicle flies along x.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import count as counted_from
 
 import numpy as np
@@ -211,6 +212,9 @@ class EmulatedLidar(_Emulated):
             shape=self.shape,
             sensor=self.sensor,
         )
+
+    def timing(self) -> Timing:
+        return replace(self._stamps.timing(), extent_ms=self._half_sweep / 1e6)
 
     def messages(self) -> Iterator[Message[Scan]]:
         for _, stamp in self._frames():

@@ -53,4 +53,4 @@ class Stamps:
 
     def timing(self) -> Timing:
         """What validation may count on."""
-        return Timing(self.rate_hz, self.delay_ms, self.jitter_ms)
+        return Timing(self.rate_hz, self.delay_ms, self.jitter_ms, self.offset_ms)
