@@ -11,12 +11,12 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.drivers.expectations import QUANTITIES, Verdict, verdicts
 from pipeline.drivers.run import run_graph
 from pipeline.graph.graph import Graph
+from pipeline.measuring.expectations import QUANTITIES, Verdict, verdicts
 from tools.load import open_graph
-from tools.progress import Progress
 from tools.validate import print_warnings
+from tools.watching.progress import Progress
 
 #: What `--on` sets where it does not say.
 RECORDING = "recording"

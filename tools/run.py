@@ -13,16 +13,16 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
-from pipeline.drivers.board import Board
-from pipeline.drivers.expectations import failed, verdicts
 from pipeline.drivers.run import run_graph
-from pipeline.drivers.trace import CAPACITY, Trace
+from pipeline.measuring.board import Board
+from pipeline.measuring.expectations import failed, verdicts
+from pipeline.measuring.trace import CAPACITY, Trace
 from tools.check import verdict_table
 from tools.load import open_graph
-from tools.progress import Progress
-from tools.report import print_report
-from tools.trace import write_trace
 from tools.validate import print_warnings
+from tools.watching.progress import Progress
+from tools.watching.report import print_report
+from tools.watching.trace import write_trace
 
 
 def run_file(

@@ -9,7 +9,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.drivers.costs import SourceCost
+from pipeline.measuring.costs import SourceCost
 from pipeline.message import Message
 from pipeline.scheduling.topology import Port, StageNode, Sync, Topology
 

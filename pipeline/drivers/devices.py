@@ -8,10 +8,10 @@ from types import TracebackType
 from typing import Any, Self
 
 from pipeline.drivers.isolated import IsolatedDevice
-from pipeline.drivers.profiler import Profiler
 from pipeline.errors import DeviceError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph, GraphDevice
+from pipeline.measuring.profiler import Profiler
 from pipeline.model import Accelerator, BoundModel, Probe
 
 

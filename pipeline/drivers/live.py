@@ -20,12 +20,12 @@ from queue import SimpleQueue
 from typing import Any, Protocol
 
 from pipeline.clock import ScaledClock
-from pipeline.drivers.ending import Ended
 from pipeline.drivers.executor import Worker
-from pipeline.drivers.profiler import Spent
 from pipeline.drivers.sealing import seal
-from pipeline.drivers.statistics import OnFailure, Statistics
 from pipeline.errors import DeviceError
+from pipeline.measuring.ending import Ended
+from pipeline.measuring.profiler import Spent
+from pipeline.measuring.statistics import OnFailure, Statistics
 from pipeline.message import Message
 from pipeline.scheduling.events import Check, Output, Start, Step
 from pipeline.scheduling.scheduler import Scheduler

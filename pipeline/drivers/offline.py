@@ -16,11 +16,11 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 from pipeline.clock import ManualClock
-from pipeline.drivers.ending import Ended
 from pipeline.drivers.executor import Worker
-from pipeline.drivers.profiler import Spent
 from pipeline.drivers.sealing import seal
-from pipeline.drivers.statistics import OnFailure, Statistics
+from pipeline.measuring.ending import Ended
+from pipeline.measuring.profiler import Spent
+from pipeline.measuring.statistics import OnFailure, Statistics
 from pipeline.message import Message
 from pipeline.scheduling.events import Output, Start, Step
 from pipeline.scheduling.scheduler import Scheduler

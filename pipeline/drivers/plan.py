@@ -21,10 +21,10 @@ from zlib import crc32
 import numpy as np
 
 from pipeline.drivers.arrivals import MS, arrivals
-from pipeline.drivers.costs import Costs, Spread
-from pipeline.drivers.report import build_report
-from pipeline.drivers.statistics import Statistics
 from pipeline.graph.graph import Graph
+from pipeline.measuring.costs import Costs, Spread
+from pipeline.measuring.report import build_report
+from pipeline.measuring.statistics import Statistics
 from pipeline.message import Message
 from pipeline.scheduling.events import Check, Output, Start, Step
 from pipeline.scheduling.scheduler import Scheduler

@@ -12,22 +12,22 @@ from statistics import median_low
 from typing import Any
 
 from pipeline.clock import Clock, ManualClock, ScaledClock
-from pipeline.drivers.announcements import logged_as_events
-from pipeline.drivers.board import Board
 from pipeline.drivers.devices import Devices
-from pipeline.drivers.ending import Ended, stopped_by_signals
 from pipeline.drivers.executor import Worker
 from pipeline.drivers.live import LiveDriver
-from pipeline.drivers.observers import observed_by
 from pipeline.drivers.offline import OfflineDriver
-from pipeline.drivers.profiler import Profiler
-from pipeline.drivers.report import build_report
-from pipeline.drivers.statistics import Event, Statistics
-from pipeline.drivers.status import LOSSES, Status
-from pipeline.drivers.trace import Trace, TracedWorker
 from pipeline.errors import OverflightError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph
+from pipeline.measuring.announcements import logged_as_events
+from pipeline.measuring.board import Board
+from pipeline.measuring.ending import Ended, stopped_by_signals
+from pipeline.measuring.observers import observed_by
+from pipeline.measuring.profiler import Profiler
+from pipeline.measuring.report import build_report
+from pipeline.measuring.statistics import Event, Statistics
+from pipeline.measuring.status import LOSSES, Status
+from pipeline.measuring.trace import Trace, TracedWorker
 from pipeline.message import Message
 from pipeline.scheduling.scheduler import Scheduler
 from pipeline.scheduling.topology import Port

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tools import main as command
-from tools.main import parse_speed
+from tools.commands.options import parse_speed
 
 Overflight = Callable[..., Any]
 
@@ -67,7 +67,7 @@ def test_help_imports_nothing_heavy() -> None:
     assert "validate" in answer.stdout
 
 
-@pytest.mark.parametrize("name", ["run", "validate", "graph", "inspect", "stages", "schema"])
+@pytest.mark.parametrize("name", [name.replace("_", "-") for name in command.COMMANDS])
 def test_every_command_explains_itself(overflight: Overflight, name: str) -> None:
     answer = overflight(name, "--help")
     assert answer.code == 0

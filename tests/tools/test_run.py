@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.drivers.board import Board
+from pipeline.measuring.board import Board
 
 Overflight = Callable[..., Any]
 

@@ -8,7 +8,7 @@ from typing import Any
 from pipeline.clock import ScaledClock
 from pipeline.drivers.executor import Worker
 from pipeline.drivers.live import LiveDriver
-from pipeline.drivers.statistics import Statistics
+from pipeline.measuring.statistics import Statistics
 from pipeline.message import Message
 from pipeline.scheduling.ledger import balanced
 from pipeline.scheduling.scheduler import Scheduler

@@ -15,16 +15,16 @@ from time import perf_counter
 from typing import Any
 
 from accelerators.registry import Registry
-from pipeline.drivers.costs import Costs, read_costs
 from pipeline.drivers.plan import run_plan
 from pipeline.drivers.run import run_graph
-from pipeline.drivers.statistics import Statistics
 from pipeline.graph.graph import Graph, load_graph
+from pipeline.measuring.costs import Costs, read_costs
+from pipeline.measuring.statistics import Statistics
 from pipeline.scheduling.scheduler import Scheduler
 from tools.bench.harness import Effort, Row
 from tools.bench.scheduler import FILE, arrivals, drive, durations
-from tools.plan_costs import gather
-from tools.profile_costs import CostTable
+from tools.planning.plan_costs import gather
+from tools.profiling.profile_costs import CostTable
 
 GOAL_S = 10.0
 VIRTUAL_S = 1000

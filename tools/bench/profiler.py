@@ -15,14 +15,14 @@ from pathlib import Path
 from statistics import median
 
 from accelerators.registry import Registry
-from pipeline.drivers.profiler import Profiler, Reading, Spent
 from pipeline.drivers.run import run_graph
 from pipeline.errors import OverflightError
 from pipeline.graph.graph import Graph, load_graph
+from pipeline.measuring.profiler import Profiler, Reading, Spent
 from pipeline.scheduling.events import Step
 from tools.bench.harness import Effort, Row, interleave, ratio
 from tools.bench.scheduler import FILE
-from tools.profile_variants import alone
+from tools.profiling.profile_variants import alone
 
 NETWORKS = Path(__file__).parent / "networks.yaml"
 

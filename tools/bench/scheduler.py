@@ -18,8 +18,8 @@ from typing import Any
 
 import graphs
 from accelerators.registry import Registry
-from pipeline.drivers.statistics import Statistics
 from pipeline.graph.graph import Graph, load_graph
+from pipeline.measuring.statistics import Statistics
 from pipeline.message import Message
 from pipeline.scheduling.events import Output, Start, Step
 from pipeline.scheduling.ledger import balanced

@@ -13,10 +13,10 @@ from pathlib import Path
 from statistics import median
 
 from accelerators.registry import Registry
-from pipeline.drivers.board import Board
 from pipeline.drivers.run import RunResult, run_graph
-from pipeline.drivers.trace import Trace
 from pipeline.graph.graph import Graph, load_graph
+from pipeline.measuring.board import Board
+from pipeline.measuring.trace import Trace
 from tools.bench.harness import Effort, Row, interleave, ratio
 from tools.bench.scheduler import FILE
 

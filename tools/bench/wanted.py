@@ -1,7 +1,7 @@
 """Wanted frames: the age of a scan at the fused output, and the inferences that it takes.
 
-The graph is `common_workload.yaml`. `run: every` and `run: wanted` take turns on it, in the forms that
-the rows name. The age counts from the scan's stamp to the instant at which the fused output is there.
+The graph is `common_workload.yaml`. `run: every` and `run: wanted` take turns on it, in the forms
+that the rows name. The age counts from the scan's stamp until the fused output is there.
 """
 
 from __future__ import annotations

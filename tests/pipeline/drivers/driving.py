@@ -9,13 +9,13 @@ from functools import partial
 from typing import Any
 
 from pipeline.clock import ManualClock, ScaledClock
-from pipeline.drivers.ending import Ended
 from pipeline.drivers.executor import Worker
 from pipeline.drivers.live import LiveDriver
-from pipeline.drivers.observers import observed_by
 from pipeline.drivers.offline import OfflineDriver
-from pipeline.drivers.statistics import Statistics
-from pipeline.drivers.trace import Trace, TracedWorker
+from pipeline.measuring.ending import Ended
+from pipeline.measuring.observers import observed_by
+from pipeline.measuring.statistics import Statistics
+from pipeline.measuring.trace import Trace, TracedWorker
 from pipeline.message import Message
 from pipeline.model import BoundModel
 from pipeline.scheduling.scheduler import Scheduler

@@ -6,9 +6,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from pipeline.drivers.costs import Costs
 from pipeline.graph.graph import Graph
 from pipeline.graph.spec import ExpectSpec
+from pipeline.measuring.costs import Costs
 from pipeline.scheduling.topology import Input, Port, StageNode, Topology
 
 NOTHING: MappingProxyType[str, Any] = MappingProxyType({})

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from planning import source, stage
 
 from pipeline.drivers.arrivals import arrivals, shared_clocks
-from pipeline.drivers.costs import SourceCost
+from pipeline.measuring.costs import SourceCost
 from pipeline.scheduling.topology import Input, Port, StageNode, Sync, Topology
 
 RGB, DEPTH, LIDAR = source("rgb"), source("depth"), source("lidar")

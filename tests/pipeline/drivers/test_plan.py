@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from planning import costs, graph, source, stage
 
-from pipeline.drivers.costs import Costs, Machine
 from pipeline.drivers.plan import Plan, run_plan
 from pipeline.graph.graph import Graph
+from pipeline.measuring.costs import Costs, Machine
 from pipeline.scheduling.events import Step
 from pipeline.scheduling.topology import Policy
 

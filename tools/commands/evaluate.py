@@ -1,0 +1,131 @@
+"""The words of `overflight evaluate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tools.commands.app import app
+from tools.commands.options import AsJson
+
+
+@app.command(
+    epilog="Examples: overflight evaluate out/labels --truth sequences/00 --truth-labels "
+    "semantickitti. overflight evaluate out/map.ply --truth annotated.ply --groups paper. "
+    "overflight evaluate out/map.ply (how sharp it is)."
+)
+def evaluate(
+    prediction: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PREDICTION",
+            help="A folder of label files, masks or npz, one per frame; or a map (PLY, npz, "
+            "checkpoint).",
+            show_default=False,
+        ),
+    ],
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            help="The same with true labels, or a simulated flight for a map. A map alone is "
+            "measured for sharpness.",
+            show_default=False,
+        ),
+    ] = None,
+    labels: Annotated[
+        str, typer.Option(metavar="SET", help="The label set of the prediction's ids.")
+    ] = "overflight",
+    truth_labels: Annotated[
+        str, typer.Option(metavar="SET", help="The label set of the truth's ids.")
+    ] = "overflight",
+    ignore: Annotated[
+        list[int] | None,
+        typer.Option(
+            metavar="ID", help="An id that counts as unlabeled. Repeatable.", show_default=False
+        ),
+    ] = None,
+    groups: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Judge groups of classes: paper, paper_wide, or a YAML file of them.",
+            show_default="each class",
+        ),
+    ] = None,
+    min_points: Annotated[
+        float,
+        typer.Option(
+            metavar="N",
+            help="A class enters the mean with N points, or below 1: with that share of them.",
+        ),
+    ] = 0.001,
+    rate_hz: Annotated[
+        float, typer.Option(metavar="HZ", min=0.001, help="Frames per second, to number stamps by.")
+    ] = 10.0,
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Judge apart what the cameras see: the drive with points and calibration.",
+            show_default=False,
+        ),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="A YAML file with the calibration block, where the recording has none.",
+            show_default=False,
+        ),
+    ] = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only this camera. Repeatable.", show_default="all"),
+    ] = None,
+    radius_m: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            min=0.0,
+            help="How far the voxel of an annotated point may be.",
+            show_default="a voxel; 0 where the truth has voxels of the same size",
+        ),
+    ] = None,
+    voxel_m: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            min=0.0,
+            help="The map's voxels, where the file does not say.",
+            show_default=False,
+        ),
+    ] = None,
+    png: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw the confusion matrix.", show_default=False),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Judge labels, masks or a map against the truth: IoU by class, and a map's sharpness."""
+    from stages.labeled_files import LabelSet
+    from tools.evaluate import evaluate_path
+    from tools.evaluation_frames import CameraView
+
+    ignored = tuple(ignore or ())
+    evaluate_path(
+        prediction,
+        truth,
+        labels=LabelSet.named(labels, ignored),
+        truth_labels=LabelSet.named(truth_labels, ignored),
+        groups=groups,
+        min_points=min_points,
+        rate_hz=rate_hz,
+        view=CameraView.open(recording, calibration, camera or (), rate_hz),
+        radius_m=radius_m,
+        voxel_m=voxel_m,
+        as_json=as_json,
+        png=png,
+    )

@@ -1,0 +1,90 @@
+"""The words of `overflight run`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tools.commands.app import RUN_FAILED, app, complain
+from tools.commands.options import GraphFile, ModelFiles, Out, Overlays, Settings, parse_speed
+
+
+@app.command(
+    epilog="Example: overflight run graphs/drive.yaml --set parameters.recording=my_drive "
+    "--speed max --out out/ --report out/report.json"
+)
+def run(
+    graph: GraphFile,
+    settings: Settings = None,
+    overlays: Overlays = None,
+    models: ModelFiles = None,
+    speed: Annotated[
+        str,
+        typer.Option(
+            metavar="FACTOR",
+            help="1: real time. 2: twice as fast. max: offline, nothing is dropped and every run "
+            "gives the same result.",
+        ),
+    ] = "1",
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            min=0.0,
+            help="Stop after so much time of the graph's clock. Ctrl-C stops earlier.",
+            show_default="until the sources end",
+        ),
+    ] = None,
+    out: Out = Path("out"),
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write rates, ages and losses as JSON.", show_default=False
+        ),
+    ] = None,
+    trace: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write every run, wait, loss and decision as a Chrome trace, to look at in "
+            "ui.perfetto.dev; FILE.gz is compressed.",
+            show_default=False,
+        ),
+    ] = None,
+    trace_entries: Annotated[
+        int,
+        typer.Option(
+            metavar="COUNT", min=1, help="Keep so many entries of the trace, the last ones."
+        ),
+    ] = 200_000,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the report as JSON instead of a table.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", help="No progress and no table; errors only.")
+    ] = False,
+) -> None:
+    """Run a graph until its sources end, --duration is over, or Ctrl-C."""
+    factor = parse_speed(speed)
+    from tools.run import run_file
+
+    failures = run_file(
+        graph,
+        settings=settings or (),
+        overlays=overlays or (),
+        models=models or (),
+        speed=factor,
+        duration_s=duration,
+        out=out,
+        report=report,
+        trace=trace,
+        trace_entries=trace_entries,
+        as_json=as_json,
+        quiet=quiet,
+    )
+    for failure in failures:
+        complain(failure)
+    if failures:
+        raise typer.Exit(RUN_FAILED)

@@ -1,0 +1,1 @@
+"""What a swap of devices changes: `overflight compare`."""

@@ -1,0 +1,1 @@
+"""The model registry from the command line: `overflight models`."""
