@@ -133,6 +133,21 @@ class OpenVino:
         return self._core
 
 
+def write_ir(onnx: Path, xml: Path) -> None:
+    """Convert an ONNX file to IR: `xml`, and a .bin of 16-bit weights beside it.
+
+    Raises DeviceError without OpenVINO, ModelError where the file cannot be converted or written.
+    """
+    try:
+        import openvino
+    except ImportError as error:
+        raise DeviceError(f"openvino does not start ({error}): pip install openvino") from error
+    try:
+        openvino.save_model(openvino.convert_model(onnx), xml, compress_to_fp16=True)
+    except RuntimeError as error:
+        raise ModelError(f"{onnx} as {xml.name}: {_first_line(error)}") from error
+
+
 class OpenVinoModel:
     """A compiled model with one infer request."""
 

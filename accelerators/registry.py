@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -142,6 +142,8 @@ class Registry:
                 f"model '{name}': no file {file} in {places}; put it there (source: "
                 f"{self.entry(name).source}) or name its folder as a root in a file for --models"
             )
+        # Two registries may have files of one name: that of the sum is meant, whichever lies first.
+        path = next((one for one in self._places(file) if self._hash(one) == sha256), path)
         found = self._hash(path)
         if sha256 is not None and found != sha256:
             raise ModelError(
@@ -152,8 +154,12 @@ class Registry:
 
     def find(self, file: str) -> Path | None:
         """Where a file of a variant lies; None where no root has it."""
+        return next(self._places(file), None)
+
+    def _places(self, file: str) -> Iterator[Path]:
+        """Every file of that name, by the order of the roots."""
         paths = ((root / file).resolve() for root in self._roots)
-        return next((path for path in paths if path.is_file()), None)
+        return (path for path in paths if path.is_file())
 
     def _hash(self, path: Path) -> str:
         key = (path, path.stat().st_mtime_ns)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -15,10 +15,13 @@ from stages.emulated_street import lidar_rays, look_along, read_classes
 from stages.kernels.compiled import locked
 from stages.taxonomy import load_taxonomy
 
-#: What the detectors know, by their own class ids (`class_map` in the model registry).
+#: What the detectors know, by their own class ids (`class_map` in the model registry): those that
+#: list detections, and those that mark centers.
 DETECTED = ("vehicle", "person", "bicycle")
+CENTERED = ("person", "vehicle", "bicycle")
 SCORE = 0.9  #: of every box
 LOG_SCORE = 4.0  #: of the class that is there, all others 0: a probability of 0.8 among 15
+_CENTERS = ("heat", "size", "offset")
 STEP_PX = 8  #: a detector looks at the middle of squares of this size
 
 
@@ -27,8 +30,9 @@ class StreetNetworks:
 
     An image is read by its paint: `scores` (1, rows, columns, 16) hold the class in each of their
     cells, `detections` (rows of 7, as OpenVINO's DetectionOutput) a box around each patch of a
-    class in `DETECTED`. A range image gets the classes of the street. Outputs of another name or
-    rank are zero.
+    class in `DETECTED`; `heat`, `size` and `offset` mark the center of each in `CENTERED`, as a
+    CenterNet with logarithmic sizes and cells centered at 0.5. A range image gets the classes of
+    the street. Outputs of another name or rank are zero.
     """
 
     kinds: tuple[str, ...] = ("emulated",)
@@ -75,7 +79,10 @@ class _Network:
         return answer
 
     def _answer(self, label: NDArray[np.uint8]) -> Native:
-        return {name: locked(say(label, self.outputs[name])) for name, say in self._known}
+        answer = {name: locked(say(label, self.outputs[name])) for name, say in self._known}
+        if set(_CENTERS) <= self.outputs.keys():
+            answer |= _centers(label, self.outputs)
+        return answer
 
 
 def _scores(label: NDArray[np.uint8], output: TensorSpec) -> NDArray[Any]:
@@ -88,15 +95,36 @@ def _scores(label: NDArray[np.uint8], output: TensorSpec) -> NDArray[Any]:
 
 def _detections(label: NDArray[np.uint8], output: TensorSpec) -> NDArray[Any]:
     """A row (image, class, score, x0, y0, x1, y1 as shares of the image) for each patch."""
-    rows, columns = label.shape
-    found = []
-    for number, name in enumerate(DETECTED):
-        mask = (label == load_taxonomy().id(name)).astype(np.uint8)
-        _, _, patches, _ = cv2.connectedComponentsWithStats(mask)
-        for left, top, width, height, _ in patches[1:]:
-            box = left / columns, top / rows, (left + width) / columns, (top + height) / rows
-            found.append((0, number, SCORE, *box))
+    found = [(0, number, SCORE, *box) for number, box in _patches(label, DETECTED)]
     detections = np.zeros(output.shape, dtype=output.dtype)
     most = output.shape[-2]
     detections[0, 0, : len(found[:most])] = np.reshape(found[:most], (-1, 7))
     return detections
+
+
+def _centers(label: NDArray[np.uint8], outputs: Mapping[str, TensorSpec]) -> Native:
+    """Heat, size and offset (1, rows, columns, k) in cells; the last two are not quantized."""
+    heat, size, offset = (np.zeros(outputs[name].shape, outputs[name].dtype) for name in _CENTERS)
+    form = outputs["heat"]
+    _, rows, columns, _ = form.shape
+    logit = np.log(SCORE / (1 - SCORE))
+    for number, box in _patches(label, CENTERED):
+        x0, y0, x1, y1 = np.array(box) * (columns, rows, columns, rows)
+        column, row = int((x0 + x1) / 2), int((y0 + y1) / 2)
+        heat[0, row, column, number] = round(logit / form.scale) + form.zero_point
+        size[0, row, column] = np.log([x1 - x0, y1 - y0])
+        offset[0, row, column] = (x0 + x1) / 2 - column - 0.5, (y0 + y1) / 2 - row - 0.5
+    return {name: locked(one) for name, one in zip(_CENTERS, (heat, size, offset), strict=True)}
+
+
+def _patches(
+    label: NDArray[np.uint8], names: Sequence[str]
+) -> Iterator[tuple[int, tuple[float, float, float, float]]]:
+    """The class, as its place in `names`, and the box x0 y0 x1 y1 of each patch, as shares."""
+    rows, columns = label.shape
+    for number, name in enumerate(names):
+        mask = (label == load_taxonomy().id(name)).astype(np.uint8)
+        _, _, patches, _ = cv2.connectedComponentsWithStats(mask)
+        for left, top, width, height, _ in patches[1:]:
+            box = left / columns, top / rows, (left + width) / columns, (top + height) / rows
+            yield number, box

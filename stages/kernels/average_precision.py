@@ -39,8 +39,8 @@ def match(
 ) -> FrameHits:
     """Give each detection, best first, the free object that it overlaps most, from `min_iou` on.
 
-    All boxes are of one class and frame, x0 y0 x1 y1. A detection that finds no object and lies by half
-    or more of its area in an `ignored` region counts neither way.
+    All boxes are of one class and frame, x0 y0 x1 y1. A detection that finds no object and lies by
+    half or more of its area in an `ignored` region counts neither way.
     """
     order = np.argsort(-scores, kind="stable")
     boxes, scores = boxes[order], scores[order]
@@ -81,8 +81,8 @@ def bootstrap_interval(
 ) -> tuple[float, float]:
     """Between which values the average precision lies in `coverage` of the draws of as many frames.
 
-    Frames are drawn with replacement, since the objects of one frame are no independent trials. Draws
-    without an object are left out; NaN where there is no other.
+    Frames are drawn with replacement, since the objects of one frame are no independent trials.
+    Draws without an object are left out; NaN where there is no other.
     """
     random = np.random.default_rng(seed)
     draws = [

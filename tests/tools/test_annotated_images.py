@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.errors import DataError
+from stages.taxonomy import load_taxonomy
+from tools.annotated_images import read_annotated
+
+
+def coco(folder: Path, **changes: Any) -> Path:
+    """A folder of one image with a person, a dog, a crowd and a region that nobody may judge."""
+    folder.mkdir(exist_ok=True)
+    cv2.imwrite(str(folder / "a.png"), np.zeros((48, 64), np.uint8))
+    names = {1: "Person", 2: "dog", 3: "DontCare", 4: "car"}
+    rows = [(1, 0), (2, 0), (3, 0), (4, 1)]
+    content: dict[str, Any] = {
+        "images": [{"id": 7, "file_name": "a.png", "width": 64, "height": 48}],
+        "categories": [{"id": number, "name": name} for number, name in names.items()],
+        "annotations": [
+            {"image_id": 7, "category_id": kind, "bbox": [4, 5, 10, 20], "iscrowd": crowd}
+            for kind, crowd in rows
+        ],
+    }
+    (folder / "ann.json").write_text(json.dumps(content | changes))
+    return folder
+
+
+def test_categories_become_our_classes_and_the_rest_is_left_out(tmp_path: Path) -> None:
+    (image,) = read_annotated(coco(tmp_path))
+    assert image.classes.tolist() == [load_taxonomy().id("person"), -1, -1]
+    assert image.ignored.tolist() == [False, True, True]
+    assert image.boxes[0].tolist() == [4, 5, 14, 25]
+    assert image.size == (64, 48)
+
+
+def test_a_folder_without_annotations_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"holds no ann\.json or .*COCO annotations"):
+        read_annotated(tmp_path)
+
+
+def test_an_annotation_of_no_image_is_told(tmp_path: Path) -> None:
+    folder = coco(tmp_path, images=[])
+    with pytest.raises(DataError, match="no COCO annotation file"):
+        read_annotated(folder)
+
+
+def test_a_missing_image_is_named(tmp_path: Path) -> None:
+    folder = coco(tmp_path)
+    (folder / "a.png").unlink()
+    with pytest.raises(DataError, match=r"has no image a\.png"):
+        read_annotated(folder)
+
+
+def test_the_shared_sets_hold_what_their_description_says(shared: Path) -> None:
+    taxonomy = load_taxonomy()
+    images = read_annotated(shared / "data" / "hit_uav")
+    counts = {
+        name: sum(int((image.classes == taxonomy.id(name)).sum()) for image in images)
+        for name in ("person", "vehicle", "bicycle")
+    }
+    assert counts == {"person": 432, "vehicle": 78, "bicycle": 116}
+    assert sum(int(image.ignored.sum()) for image in images) == 3

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import csv
+import signal
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="the extra 'train' is not installed")
+
+from rich.console import Console  # noqa: E402
+
+from pipeline.errors import DataError  # noqa: E402
+from tools.train.loop import Interrupted, Training  # noqa: E402
+from tools.train.task import Settings  # noqa: E402
+
+STEPS = 25
+QUIET = Console(quiet=True)
+
+
+class Line:
+    """Learns to double; interrupted or poisoned at a step, where asked."""
+
+    def __init__(self, stop_at: int | None = None, poison: bool = False) -> None:
+        torch.manual_seed(7)
+        self.network = torch.nn.Sequential(torch.nn.Conv2d(1, 4, 3, padding=1), torch.nn.Dropout())
+        self.network.append(torch.nn.BatchNorm2d(4))
+        self.network.append(torch.nn.Conv2d(4, 1, 1))
+        self._stop_at = stop_at
+        self._poison = poison
+        self._learned = 0
+
+    def batch(self, random: np.random.Generator) -> dict[str, torch.Tensor]:
+        pixels = torch.from_numpy(random.standard_normal((2, 1, 6, 6)).astype(np.float32))
+        return {"input": pixels, "wanted": 2 * pixels}
+
+    def loss(
+        self, outputs: torch.Tensor, batch: Mapping[str, torch.Tensor]
+    ) -> dict[str, torch.Tensor]:
+        if self._learned == self._stop_at:
+            signal.raise_signal(signal.SIGINT)  # Ctrl-C in the middle of a step
+        self._learned += 1
+        error = (outputs.float() - batch["wanted"]).square().mean()
+        return {"error": error * (float("nan") if self._poison else 1)}
+
+
+def settings(**changes: object) -> Settings:
+    return Settings(**({"steps": STEPS, "rate": 0.02} | changes))  # type: ignore[arg-type]
+
+
+def weights(network: torch.nn.Module) -> list[np.ndarray]:
+    return [one.numpy() for one in network.state_dict().values()]
+
+
+def test_a_training_that_was_stopped_and_goes_on_ends_as_one_that_was_not(tmp_path: Path) -> None:
+    whole = Training(Line(), settings(), tmp_path / "whole").run(QUIET)
+    with pytest.raises(Interrupted) as stop:
+        Training(Line(stop_at=11), settings(), tmp_path / "parts").run(QUIET)
+    assert stop.value.step == 12
+    parts = Training(Line(), settings(), tmp_path / "parts").run(QUIET)
+    for one, other in zip(weights(whole), weights(parts), strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_a_finished_training_is_not_trained_further(tmp_path: Path) -> None:
+    first = Training(Line(), settings(), tmp_path).run(QUIET)
+    again = Training(Line(stop_at=0), settings(), tmp_path).run(QUIET)
+    for one, other in zip(weights(first), weights(again), strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_the_loss_falls_and_the_curve_shows_it(tmp_path: Path) -> None:
+    Training(Line(), settings(steps=200), tmp_path).run(QUIET)
+    with (tmp_path / "curve.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["step"]) for row in rows] == list(range(20, 201, 20))
+    assert float(rows[-1]["loss"]) < 0.8 * float(rows[0]["loss"])
+    assert (tmp_path / "curve.png").stat().st_size > 1000
+
+
+def test_rows_after_the_checkpoint_are_written_once(tmp_path: Path) -> None:
+    training = Training(Line(), settings(steps=60), tmp_path)
+    training.run(QUIET)
+    training.curve.cut(20)
+    steps = [row.split(",")[0] for row in (tmp_path / "curve.csv").read_text().splitlines()]
+    assert steps == ["step", "20"]
+
+
+def test_another_training_in_the_same_folder_is_refused(tmp_path: Path) -> None:
+    Training(Line(), settings(), tmp_path).run(QUIET)
+    with pytest.raises(DataError, match=r"other settings \(seed: 0, now 3\).*--restart"):
+        Training(Line(), settings(seed=3), tmp_path)
+
+
+def test_a_broken_checkpoint_is_no_traceback(tmp_path: Path) -> None:
+    Training(Line(), settings(), tmp_path).run(QUIET)
+    content = (tmp_path / "checkpoint.pt").read_bytes()
+    (tmp_path / "checkpoint.pt").write_bytes(content[: len(content) // 2])
+    with pytest.raises(DataError, match=r"cannot be resumed.*--restart"):
+        Training(Line(), settings(), tmp_path)
+
+
+def test_a_loss_that_is_no_number_ends_the_training_with_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="the loss is nan at step 0"):
+        Training(Line(poison=True), settings(), tmp_path).run(QUIET)
+
+
+def test_the_rate_rises_and_falls_to_nothing() -> None:
+    rates = [settings(steps=100).rate_at(step) for step in range(101)]
+    assert rates[0] < rates[3] == pytest.approx(0.02)
+    assert rates[4:] == sorted(rates[4:], reverse=True)
+    assert rates[100] == pytest.approx(0, abs=1e-9)

@@ -1,0 +1,364 @@
+"""`overflight train`: the words of its commands. Torch is imported only when one of them runs."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pipeline.errors import ModelError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from tools.train.plan import Order
+    from tools.train.recipes import DetectorRecipe
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Train the networks on flights and annotated pictures (extras train and export).",
+)
+
+INTERRUPTED = 130
+SIMULATED = "simulated flights of Overflight"
+STATISTICS = Path(__file__).resolve().parents[2] / "stages" / "scan_statistics.yaml"
+
+
+class BackboneName(StrEnum):
+    """What looks at the picture."""
+
+    RESIDUAL = "residual"
+    MOBILEDET = "mobiledet"
+
+
+class HeadName(StrEnum):
+    """What says where objects are."""
+
+    CENTERNET = "centernet"
+    SSD = "ssd"
+
+
+Data = Annotated[
+    Path,
+    typer.Option(
+        "--data",
+        metavar="PATH",
+        help="A folder of images with COCO annotations, or a simulated flight (.mcap).",
+        show_default=False,
+    ),
+]
+Output = Annotated[
+    Path,
+    typer.Option(
+        "-o",
+        "--output",
+        metavar="FOLDER",
+        help="Checkpoint, curve, model files, registry, card. A training that was stopped goes on.",
+    ),
+]
+Steps = Annotated[int, typer.Option(min=1, help="How long: batches to learn from.")]
+Seed = Annotated[int, typer.Option(min=0, help="Another start, other crops.")]
+Threads = Annotated[int, typer.Option(min=1, help="Of torch.")]
+Backbone = Annotated[
+    BackboneName, typer.Option(help="residual learns faster; mobiledet is the paper's.")
+]
+Head = Annotated[HeadName, typer.Option(help="centernet finds small objects; ssd is the paper's.")]
+License = Annotated[str, typer.Option(metavar="TEXT", help="Of the data, and so of the weights.")]
+Attribution = Annotated[str, typer.Option(metavar="TEXT", help="Whom to name beside the weights.")]
+JudgedOn = Annotated[
+    Path | None,
+    typer.Option(
+        "--judge",
+        metavar="FOLDER",
+        help="Annotated images, of none of the scenes trained on: their scores go into the card.",
+        show_default=False,
+    ),
+]
+Restart = Annotated[bool, typer.Option("--restart", help="Forget the folder's checkpoint.")]
+
+
+Start = Annotated[
+    Path | None,
+    typer.Option(
+        "--from",
+        metavar="FOLDER",
+        help="Begin with the weights of that training of the same network.",
+        show_default="with none",
+    ),
+]
+Zoom = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        metavar="LEAST MOST",
+        help="How much larger objects will be seen than in the data: lower flights, above 1.",
+        show_default="the network's own",
+    ),
+]
+Flight = Annotated[
+    Path,
+    typer.Option(
+        "--data", metavar="FILE", help="A flight of 'overflight simulate'.", show_default=False
+    ),
+]
+Width = Annotated[
+    float, typer.Option(metavar="X", min=0.1, max=2.0, help="All channels times this.")
+]
+
+
+@app.command(
+    epilog="Example: overflight train detect-thermal --data thermal_frames --steps 3600 "
+    "--license 'CC BY 4.0' -o out/thermal. Then: overflight run graph.yaml --models "
+    "out/thermal/models.yaml"
+)
+def detect_thermal(
+    data: Data,
+    output: Output = Path("out/detect-thermal"),
+    steps: Steps = 3600,
+    seed: Seed = 0,
+    backbone: Backbone = BackboneName.RESIDUAL,
+    head: Head = HeadName.CENTERNET,
+    threads: Threads = 1,
+    license: License = "not stated",
+    attribution: Attribution = "not stated",
+    judge: JudgedOn = None,
+    start: Start = None,
+    zoom: Zoom = None,
+    restart: Restart = False,
+) -> None:
+    """Train the thermal detector: persons, vehicles and bicycles at 640 x 512, one channel."""
+    _need_torch()
+    from tools.train.recipes import DETECT_THERMAL
+
+    words = _detector_words(backbone, head, start, zoom)
+    order = _order(
+        "detect-thermal",
+        data,
+        output,
+        steps,
+        seed,
+        threads,
+        license,
+        attribution,
+        words,
+        judge,
+        restart=restart,
+    )
+    _detector(DETECT_THERMAL, replace(order, start=start), backbone, head, zoom)
+
+
+@app.command(
+    epilog="Example: overflight train detect-rgb --data city101.mcap --steps 3000 -o out/rgb"
+)
+def detect_rgb(
+    data: Data,
+    output: Output = Path("out/detect-rgb"),
+    steps: Steps = 3000,
+    seed: Seed = 0,
+    backbone: Backbone = BackboneName.RESIDUAL,
+    head: Head = HeadName.CENTERNET,
+    threads: Threads = 1,
+    license: License = "Apache-2.0",
+    attribution: Attribution = SIMULATED,
+    judge: JudgedOn = None,
+    start: Start = None,
+    zoom: Zoom = None,
+    restart: Restart = False,
+) -> None:
+    """Train the color detector: persons, vehicles and bicycles at 848 x 480."""
+    _need_torch()
+    from tools.train.recipes import DETECT_RGB
+
+    words = _detector_words(backbone, head, start, zoom)
+    order = _order(
+        "detect-rgb",
+        data,
+        output,
+        steps,
+        seed,
+        threads,
+        license,
+        attribution,
+        words,
+        judge,
+        restart=restart,
+    )
+    _detector(DETECT_RGB, replace(order, start=start), backbone, head, zoom)
+
+
+@app.command(
+    epilog="Example: overflight train segment-rgb --data city101.mcap --steps 4000 -o out/rgb"
+)
+def segment_rgb(
+    data: Flight,
+    output: Output = Path("out/segment-rgb"),
+    steps: Steps = 4000,
+    seed: Seed = 0,
+    width: Width = 1.0,
+    stride: Annotated[int, typer.Option(help="Of the scores: 8 or 16 pixels.")] = 8,
+    threads: Threads = 1,
+    license: License = "Apache-2.0",
+    attribution: Attribution = SIMULATED,
+    restart: Restart = False,
+) -> None:
+    """Train DeepLabv3+ to segment color images of 848 x 480."""
+    _need_torch()
+    from tools.train.segment import train_image_segmenter
+
+    if stride not in (8, 16):
+        raise typer.BadParameter(f"{stride} is neither 8 nor 16", param_hint="--stride")
+    words = [f"--width={width:g}", f"--stride={stride}"]
+    order = _order(
+        "segment-rgb",
+        data,
+        output,
+        steps,
+        seed,
+        threads,
+        license,
+        attribution,
+        words,
+        restart=restart,
+    )
+    _carry_out(order, lambda console: train_image_segmenter(order, width, stride, console))
+
+
+@app.command(
+    epilog="Example: overflight train segment-scan --data city101.mcap --steps 3000 -o out/scan"
+)
+def segment_scan(
+    data: Flight,
+    output: Output = Path("out/segment-scan"),
+    steps: Steps = 3000,
+    seed: Seed = 0,
+    width: Width = 0.5,
+    sensor: Annotated[
+        str, typer.Option(metavar="NAME", help="The entry of the statistics to normalize with.")
+    ] = "os0_128",
+    statistics: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE", help="See 'overflight statistics'.", show_default="the shipped ones"
+        ),
+    ] = STATISTICS,
+    threads: Threads = 1,
+    license: License = "Apache-2.0",
+    attribution: Attribution = SIMULATED,
+    restart: Restart = False,
+) -> None:
+    """Train SalsaNext to segment LiDAR scans as range images of 512 x 64."""
+    _need_torch()
+    from tools.train.segment import train_scan_segmenter
+
+    words = [f"--width={width:g}", f"--sensor={sensor}"]
+    order = _order(
+        "segment-scan",
+        data,
+        output,
+        steps,
+        seed,
+        threads,
+        license,
+        attribution,
+        words,
+        restart=restart,
+    )
+    _carry_out(
+        order, lambda console: train_scan_segmenter(order, width, statistics, sensor, console)
+    )
+
+
+def _order(
+    name: str,
+    data: Path,
+    output: Path,
+    steps: int,
+    seed: int,
+    threads: int,
+    license: str,
+    attribution: str,
+    words: list[str],
+    judged_on: Path | None = None,
+    *,
+    restart: bool,
+) -> Order:
+    from tools.train.plan import Order
+
+    said = ["overflight", "train", name, "--data", data.name]
+    said += ["--steps", str(steps), "--seed", str(seed), *words]
+    return Order(
+        data=data,
+        output=output,
+        steps=steps,
+        seed=seed,
+        threads=threads,
+        license=license,
+        attribution=attribution,
+        judged_on=judged_on,
+        restart=restart,
+        command=shlex.join(said),
+    )
+
+
+def _detector_words(
+    backbone: BackboneName,
+    head: HeadName,
+    start: Path | None,
+    zoom: tuple[float, float] | None,
+) -> list[str]:
+    words = [f"--backbone={backbone}", f"--head={head}"]
+    if start is not None:
+        words += ["--from", start.name]
+    if zoom is not None:
+        words += ["--zoom", *(f"{one:g}" for one in zoom)]
+    return words
+
+
+def _detector(
+    recipe: DetectorRecipe,
+    order: Order,
+    backbone: BackboneName,
+    head: HeadName,
+    zoom: tuple[float, float] | None,
+) -> None:
+    from tools.train.detect import train_detector
+
+    if zoom is not None:
+        if not 0.5 <= zoom[0] <= zoom[1] <= 8:
+            raise typer.BadParameter("rises, from 0.5 on and up to 8", param_hint="--zoom")
+        recipe = replace(recipe, augmentation=replace(recipe.augmentation, zoom=zoom))
+    _carry_out(
+        order, lambda console: train_detector(recipe, order, backbone.value, head.value, console)
+    )
+
+
+def _carry_out(order: Order, train: Callable[[Console], Path]) -> None:
+    """Train and say what there is; where Ctrl-C stops it, say how to go on."""
+    from rich.console import Console
+
+    from tools.train.loop import Interrupted
+
+    try:
+        registry = train(Console(stderr=True))
+    except Interrupted as stop:
+        typer.echo(
+            f"Stopped at step {stop.step} of {order.steps}; saved in {order.output}. The same "
+            "command goes on from there.",
+            err=True,
+        )
+        raise typer.Exit(INTERRUPTED) from None
+    typer.echo(f"Written: {registry}. Use it with --models {registry}.")
+
+
+def _need_torch() -> None:
+    try:
+        import torch  # noqa: F401
+    except ImportError:
+        raise ModelError(
+            "training needs torch: pip install 'overflight[train]' (and 'overflight[export]' for "
+            "8-bit files)"
+        ) from None

@@ -1,0 +1,100 @@
+"""One training from its data to what flies: what is common to all networks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from tools.train.blocks import parameters_of
+from tools.train.card import Origin, model_card
+from tools.train.export import Exportable
+from tools.train.loop import CHECKPOINT, Training, begin_with
+from tools.train.products import REGISTRY, Meaning, write_products
+from tools.train.task import AVERAGING, Settings, Task
+
+#: A network that begins with another's weights learns at this share of the rate.
+FINE_TUNING = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What a person asked for, of any network."""
+
+    data: Path
+    output: Path
+    steps: int
+    seed: int
+    threads: int
+    license: str
+    attribution: str
+    judged_on: Path | None
+    restart: bool
+    command: str  #: the words that ask for it again
+    start: Path | None = None  #: the folder of a training whose weights this one begins with
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is to be trained, and what will be said of it."""
+
+    name: str  #: in the registry
+    architecture: str
+    task: Task
+    shape: tuple[int, int, int]  #: channels, height, width of the input of the exported files
+    outputs: tuple[str, ...]
+    meaning: Meaning
+    samples: Sequence[NDArray[np.float32]]  #: inputs (channels, height, width) for the 8-bit file
+    data: str  #: in words
+    rate: float = 2e-3
+    judge: Callable[[Path], Sequence[Mapping[str, Any]]] | None = None  #: of a registry file
+
+
+def carry_out(plan: Plan, order: Order, console: Console) -> Path:
+    """Train, or go on, and write everything; the registry. Raises OverflightError, Interrupted."""
+    if order.restart:
+        for name in (CHECKPOINT, "curve.csv"):
+            (order.output / name).unlink(missing_ok=True)
+    facts = {"network": f"{plan.name}, {plan.architecture}", "data": plan.data}
+    rate = plan.rate
+    if order.start is not None:
+        begin_with(plan.task.network, order.start / CHECKPOINT)
+        facts["start"] = order.start.name
+        rate *= FINE_TUNING
+    settings = Settings(
+        steps=order.steps,
+        seed=order.seed,
+        rate=rate,
+        # Over a seventh of a short training: a longer memory still holds how it began.
+        averaging=min(AVERAGING, 1 - 7 / max(order.steps, 7)),
+        threads=order.threads,
+        facts=facts,
+    )
+    training = Training(plan.task, settings, order.output)
+    network = training.run(console)
+    console.print("writing ONNX, OpenVINO and TensorFlow Lite files ...", highlight=False)
+    model = Exportable(plan.name, network, plan.shape, plan.outputs)
+    files = write_products(model, plan.meaning, plan.samples, order.output, console)
+    registry = order.output / REGISTRY
+    verdicts = plan.judge(registry) if plan.judge is not None else ()
+    origin = Origin(
+        command=order.command,
+        data=plan.data,
+        license=order.license,
+        attribution=order.attribution,
+        steps=order.steps,
+        seed=order.seed,
+        minutes=training.seconds / 60,
+        parameters=parameters_of(network),
+        loss=training.curve.lately,
+    )
+    card = model_card(
+        plan.name, plan.meaning.description, plan.architecture, origin, files, verdicts
+    )
+    (order.output / f"{plan.name}.md").write_text(card, encoding="utf-8")
+    return registry
