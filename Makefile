@@ -8,7 +8,7 @@ UAV := graphs/emulated_uav.yaml
 TABLE2 := graphs/profile/segmentation.yaml,graphs/profile/segmentation_detection.yaml,graphs/profile/image_networks.yaml,graphs/profile/image_fusion.yaml,graphs/profile/everything.yaml
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-fast check check-tflite-runtime bench profile clean
+.PHONY: help venv demo demo-truth test test-fast check check-tflite-runtime bench profile clean
 
 help:  ## Say what each target does
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
@@ -23,6 +23,15 @@ venv: .venv/installed  ## Make the virtual environment .venv with everything in 
 
 demo: venv  ## Run the paper's whole graph on emulated sensors and devices for 15 s
 	$(BIN)/overflight run graphs/emulated_uav.yaml --duration 15 --out out/demo --report out/demo/report.json
+
+demo-truth: venv  ## Simulate a flight and map it, what is true in place of the networks (4 minutes)
+	@echo "1 of 3: simulating 10 s of flight, 1.5 to 3 minutes (once: it is kept in out/flight.mcap)"
+	$(BIN)/overflight simulate demo -o out/flight.mcap
+	@echo "2 of 3: fusing and mapping it, half a minute to one"
+	$(BIN)/overflight run graphs/uav_truth.yaml --speed max --out out/truth --report out/truth/report.json
+	@echo "3 of 3: judging the map by the true one"
+	$(BIN)/overflight evaluate out/truth/map.ply --truth out/flight.mcap
+	@echo "Look at out/truth/oblique_view.png, top_view.png, image/, image_lower/, thermal/ and map.ply."
 
 test: venv  ## Run all tests
 	$(BIN)/python -m pytest
@@ -61,5 +70,5 @@ profile: venv  ## Measure the paper's Fig 9, Table 1 and Table 2 on emulated dev
 		--html out/profile/figure9.html --plot out/profile/figure9.svg
 
 clean:  ## Remove what the other targets made
-	rm -rf .venv out/demo out/profile build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf .venv out/demo out/profile out/truth out/flight.mcap build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

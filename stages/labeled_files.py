@@ -1,7 +1,8 @@
 """Labels out of files: what a run said of points, pixels and maps, or what is true of them.
 
 Understood are what our sinks write (label files, masks, npz of clouds, fused images and maps, PLY),
-saved maps, SemanticKITTI's label files, gray PNG masks, and any PLY or npz of annotated points.
+saved maps, the true map in a simulated flight, SemanticKITTI's label files, gray PNG masks, and any
+PLY or npz of annotated points.
 """
 
 from __future__ import annotations
@@ -18,14 +19,19 @@ from numpy.typing import NDArray
 from pipeline.errors import DataError
 from stages.kernels.compiled import as_input
 from stages.kernels.probability import read_out
+from stages.labels import LabeledVoxels
 from stages.ply_file import VOXEL_COMMENT, Ply, read_ply
 from stages.sources.pictures import read_picture
+from stages.sources.recording import Recording
 from stages.taxonomy import load_taxonomy
 from stages.types import CHANNELS
 from stages.voxel_map import VoxelMap
 
 #: The label set of our own files: ids of the taxonomy.
 OWN = "overflight"
+
+#: Where a simulated flight keeps its true map.
+TRUE_MAP = "truth/map"
 
 #: What the files of labeled frames end in.
 FRAMES = (".label", ".npz", ".png")
@@ -104,7 +110,12 @@ def read_frame(path: Path, labels: LabelSet) -> LabeledFrame:
 
 
 def read_map(path: Path, labels: LabelSet) -> LabeledMap:
-    """A map of ours, a saved one, or annotated points. Raises DataError."""
+    """A map of ours, a saved one, annotated points, or the true map of a simulated flight.
+
+    Raises DataError.
+    """
+    if path.suffix == ".mcap":
+        return _map_of_recording(path, labels)
     if path.suffix == ".ply":
         return _map_of_ply(read_ply(path), labels, path)
     arrays = read_npz(path)
@@ -123,6 +134,17 @@ def read_map(path: Path, labels: LabelSet) -> LabeledMap:
         raise DataError(f"{path}: {len(ours)} labels for {len(points)} points")
     voxel_m = float(arrays["voxel_m"]) if "voxel_m" in arrays else None
     return LabeledMap(points.astype(np.float64), ours, entropy, voxel_m)
+
+
+def _map_of_recording(path: Path, labels: LabelSet) -> LabeledMap:
+    source = Recording(path=path, topic=TRUE_MAP)
+    source.open()
+    message = next(source.messages(), None)
+    if message is None or not isinstance(message.payload, LabeledVoxels):
+        raise DataError(f"{path}: its topic {TRUE_MAP} holds no map")
+    voxels = message.payload
+    centers = ((voxels.indices + 0.5) * voxels.voxel_m).astype(np.float64)
+    return LabeledMap(centers, labels.translate(voxels.classes, path), None, voxels.voxel_m)
 
 
 def holds_map(path: Path) -> bool:

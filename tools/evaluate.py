@@ -18,12 +18,18 @@ from rich.progress import track
 from pipeline.errors import DataError
 from stages.evaluation_groups import load_groups
 from stages.kernels.confusion_picture import draw_confusion
-from stages.kernels.evaluation import agreement, group_columns, scan_confusion, scan_mean
+from stages.kernels.evaluation import (
+    agreement,
+    group_columns,
+    labels_at,
+    scan_confusion,
+    scan_mean,
+)
 from stages.kernels.metrics import WIDTH, merge_groups
 from stages.kernels.neighbors import Cubes, nearest
 from stages.kernels.render import encode_png
 from stages.kernels.sharpness import sharpness
-from stages.labeled_files import LabelSet, holds_map, read_frame, read_map
+from stages.labeled_files import LabeledMap, LabelSet, holds_map, read_frame, read_map
 from stages.sinks.whole_file import whole_file
 from stages.taxonomy import load_taxonomy
 from tools.evaluation_frames import CameraView, pair_frames
@@ -156,7 +162,10 @@ def _judge_map(
     radius_m: float | None,
     voxel_m: float | None,
 ) -> Tally:
-    """Each annotated point against the nearest voxel within reach; and the map by itself."""
+    """Each annotated point against the nearest voxel within reach; and the map by itself.
+
+    Voxel by voxel where the truth has voxels of the same size and no reach is asked for.
+    """
     said = read_map(prediction, labels)
     voxel_m = voxel_m or said.voxel_m
     if voxel_m is None:
@@ -174,15 +183,22 @@ def _judge_map(
     if truth is None:
         return tally
     true = read_map(truth, truth_labels)
-    row = nearest(cubes, true.points)
+    by_voxel = radius_m is None and true.voxel_m == voxel_m
+    row = _same_voxel(said, true, voxel_m) if by_voxel else nearest(cubes, true.points)
     tally.add(true.labels, np.where(row >= 0, said.labels[row], 0) if len(said.labels) else 0 * row)
     tally.facts |= {
-        "radius_m": reach_m,
+        "radius_m": None if by_voxel else reach_m,
         "points": len(true.labels),
         "points_without_truth": int(np.count_nonzero(true.labels == 0)),
         "points_out_of_reach": int(np.count_nonzero((row < 0) & (true.labels > 0))),
     }
     return tally
+
+
+def _same_voxel(said: LabeledMap, true: LabeledMap, voxel_m: float) -> NDArray[np.int64]:
+    """The row (m,) of the voxel of `said` that each of `true` lies in; -1 where there is none."""
+    cells = (np.floor(each.points / voxel_m).astype(np.int64) for each in (said, true))
+    return labels_at(next(cells), np.arange(1, len(said.labels) + 1), next(cells)) - 1
 
 
 def _columns(groups: str | None) -> tuple[list[str], NDArray[np.int64]]:

@@ -63,10 +63,9 @@ def _facts(verdict: Mapping[str, Any]) -> str:
     if verdict.get("truth_without_prediction"):
         facts.append(f"{verdict['truth_without_prediction']} true frames have no prediction.")
     if verdict.get("points_out_of_reach"):
-        facts.append(
-            f"{verdict['points_out_of_reach']:,} have no voxel within {verdict['radius_m']:g} m "
-            "(misses)."
-        )
+        reach_m = verdict["radius_m"]
+        where = "of theirs" if reach_m is None else f"within {reach_m:g} m"
+        facts.append(f"{verdict['points_out_of_reach']:,} have no voxel {where} (misses).")
     rare = [name for name, row in every["classes"].items() if not row["in_mean"]]
     if rare:
         facts.append(f"Too few points for the mean: {', '.join(rare)}.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import cv2
@@ -87,15 +88,49 @@ def top_view(
     return picture.repeat(cell_pixels, axis=0).repeat(cell_pixels, axis=1)
 
 
-def add_legend(
-    picture: NDArray[np.uint8], entries: Sequence[tuple[str, Sequence[int]]], pixels_per_m: float
+def oblique_view(
+    indices: NDArray[np.int32],
+    labels: NDArray[np.uint8],
+    colors: NDArray[np.uint8],
+    elevation_deg: float = 50.0,
 ) -> NDArray[np.uint8]:
-    """The RGB picture on a margin, with a scale bar and a legend of (name, color) below it."""
+    """Voxels as cubes in parallel projection, seen from x and y low, `elevation_deg` above: RGB.
+
+    `indices` (n, 3) with z up, `labels` (n,), `colors` (classes, 3). A cube's ground plan is a
+    diamond 4 pixels wide; its top is lightest, its right side darkest.
+    """
+    if len(indices) == 0:
+        return np.full((1, 1, 3), PAPER, dtype=np.uint8)
+    x, y, z = (indices - indices.min(axis=0)).T.astype(np.float64)
+    elevation = math.radians(elevation_deg)
+    deep, up = 2.0 * math.sin(elevation), math.sqrt(8.0) * math.cos(elevation)  # pixels per edge
+    column = np.rint(2.0 * (x - y)).astype(np.int64)
+    row = np.rint(-deep * (x + y) - up * z).astype(np.int64)
+    top, side = math.ceil(2 * deep), math.ceil(up)
+    v, u = (offset.ravel() for offset in np.mgrid[: top + side, :4])
+    shade = np.where(v < top, 1.0, np.where(u < 2, 0.82, 0.64))
+    column -= column.min()
+    row -= row.min()
+    picture = np.full((row.max() + top + side, column.max() + 4, 3), PAPER, dtype=np.uint8)
+    far_first = np.lexsort((z, -(x + y)))  # the last write to a pixel stays
+    faces = (colors[:, None, :] * shade[:, None]).astype(np.uint8)  # (classes, pixels, 3)
+    at = row[far_first, None] + v, column[far_first, None] + u
+    picture[at] = faces[labels[far_first]]
+    return picture
+
+
+def add_legend(
+    picture: NDArray[np.uint8],
+    entries: Sequence[tuple[str, Sequence[int]]],
+    pixels_per_m: float | None = None,
+) -> NDArray[np.uint8]:
+    """The RGB picture on a margin, a legend of (name, color) below it, and a scale bar where the
+    picture has a scale."""
     margin, line, font = 16, 26, cv2.FONT_HERSHEY_SIMPLEX
     width = max(picture.shape[1], 480)
     swatch_width = [40 + cv2.getTextSize(name, font, 0.5, 1)[0][0] + 16 for name, _ in entries]
     places: list[tuple[int, int]] = []
-    x, row = 0, 1
+    x, row = 0, 0 if pixels_per_m is None else 1
     for wide in swatch_width:
         if x + wide > width and x > 0:
             x, row = 0, row + 1
@@ -105,11 +140,12 @@ def add_legend(
     canvas = np.full((height + 2 * margin, width + 2 * margin, 3), PAPER, dtype=np.uint8)
     canvas[margin : margin + picture.shape[0], margin : margin + picture.shape[1]] = picture
     base = margin + picture.shape[0] + margin
-    meters = next((m for m in (100, 50, 20, 10, 5, 2) if m * pixels_per_m <= width / 3), 1)
-    end = margin + round(meters * pixels_per_m)
-    cv2.rectangle(canvas, (margin, base + 6), (end, base + 10), INK, cv2.FILLED)
-    text = f"{meters} m"
-    cv2.putText(canvas, text, (end + 8, base + 13), font, 0.5, INK, 1, cv2.LINE_AA)
+    if pixels_per_m is not None:
+        meters = next((m for m in (100, 50, 20, 10, 5, 2) if m * pixels_per_m <= width / 3), 1)
+        end = margin + round(meters * pixels_per_m)
+        cv2.rectangle(canvas, (margin, base + 6), (end, base + 10), INK, cv2.FILLED)
+        text = f"{meters} m"
+        cv2.putText(canvas, text, (end + 8, base + 13), font, 0.5, INK, 1, cv2.LINE_AA)
     for (name, color), (x, row) in zip(entries, places, strict=True):
         left, top = margin + x, base + row * line
         paint = tuple(int(channel) for channel in color)

@@ -35,7 +35,8 @@ from stages.simulation.specification import (
 from stages.simulation.stereo import stereo_depth
 from stages.simulation.thermal import thermal_image
 from stages.simulation.trace import Packet
-from stages.simulation.truth import visible_boxes, voxel_truth
+from stages.simulation.true_map import voxel_truth
+from stages.simulation.truth import visible_boxes
 from stages.types import DepthImage, Image, Pose, Scan
 
 _MS = 1_000_000
@@ -107,8 +108,8 @@ class Simulation:
     def voxels(self) -> LabeledVoxels:
         """The true map of what stands still around the flight."""
         step = max(1, len(self.district.flight.stamps) // 400)
-        track = self.district.flight.map_from_base[::step, :2, 3]
-        return voxel_truth(self.district.still, self.district.classes, np.ascontiguousarray(track))
+        track = self.district.flight.map_from_base[::step, :3, 3]
+        return voxel_truth(self.district.still, self.district.classes, track)
 
     def _poses(self, turn: Exposure) -> Iterator[Sample]:
         pose = self.district.flight.at(np.array([turn.time_ns]))[0]

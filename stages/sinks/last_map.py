@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.message import Message
 from pipeline.stage import Stage
@@ -45,6 +46,11 @@ def confident(voxels: SemanticVoxels, least: float) -> SemanticVoxels:
     if least == 0:
         return voxels
     kept = softmax(voxels.log_scores, len(load_taxonomy())).max(axis=-1) >= np.float32(least)
+    return chosen(voxels, kept)
+
+
+def chosen(voxels: SemanticVoxels, kept: NDArray[np.bool_]) -> SemanticVoxels:
+    """Those of the voxels (n,)."""
     return replace(
         voxels,
         indices=voxels.indices[kept],

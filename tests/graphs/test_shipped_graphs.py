@@ -6,12 +6,13 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 
 from pipeline.drivers.run import RunResult, run_graph
 from pipeline.graph.spec import graph_schema
-from tools.diagram import Diagram
+from tools.drawing.diagram import Diagram
+from tools.drawing.svg import svg
 from tools.load import open_graph
-from tools.svg import svg
 
 GRAPHS = Path(__file__).resolve().parents[2] / "graphs"
 EMULATED = GRAPHS / "emulated_uav.yaml"
@@ -19,13 +20,37 @@ EMULATED = GRAPHS / "emulated_uav.yaml"
 #: Graphs that need a recording, and the folder of ../shared/data that they are tested with.
 RECORDED = {"drive.yaml": "kitti_drive_lite108"}
 
+#: Graphs that need a flight; a simulated one is made for them.
+FLOWN = ("uav.yaml", "uav_truth.yaml")
+
 
 def settings(name: str, request: pytest.FixtureRequest) -> list[str]:
     """What a graph needs to run here; skips where that is absent."""
+    if name in FLOWN:
+        missing = sorted(named_models(GRAPHS / "uav/networks.yaml") - trained_models())
+        if name != "uav_truth.yaml" and missing:
+            pytest.skip(f"no weights yet of {', '.join(missing)}")
+        return [f"parameters.flight={request.getfixturevalue('tiny_flight')}"]
     if name not in RECORDED:
         return []
     shared: Path = request.getfixturevalue("shared")
     return [f"parameters.recording={shared / 'data' / RECORDED[name]}"]
+
+
+def named_models(path: Path) -> set[str]:
+    stages = yaml.safe_load(path.read_text())["stages"].values()
+    return {stage["model"] for stage in stages}
+
+
+def trained_models() -> set[str]:
+    """The models of the registry that have a file for a runtime of this machine's CPU."""
+    models = yaml.safe_load((GRAPHS / "models/models.yaml").read_text())["models"]
+    cpu = {"tflite", "openvino", "onnx"}
+    return {
+        name
+        for name, entry in models.items()
+        if any(variant["kind"] in cpu for variant in entry["variants"])
+    }
 
 
 @pytest.mark.slow

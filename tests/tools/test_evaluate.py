@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from pipeline.message import Message
+from pipeline.recording.mcap import McapWriter
+from stages.codecs.registry import PAYLOAD, codec_of
 from stages.labels import LabeledVoxels, Labels
 from stages.sinks.npz import WriteNpz
 from stages.sinks.ply import WritePly
@@ -227,6 +229,28 @@ def test_a_map_is_judged_by_its_voxel_nearest_to_each_annotated_point(
     near = judged(overflight(*words, "--json", "--radius-m", "0.01"))
     assert near["points_out_of_reach"] == 4
     assert "have no voxel within 0.25 m (misses)" in overflight(*words).out
+
+
+def test_voxels_of_the_same_size_are_judged_voxel_by_voxel(
+    overflight: Overflight, tmp_path: Path
+) -> None:
+    sink = WritePly(path=tmp_path / "map.ply")
+    sink.process(Message.at(0, voxels([ROAD, VEHICLE], x=0.24)))  # at the far end of voxels 0 and 1
+    sink.close()
+    indices = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], dtype=np.int32)  # near those of 1 and 2
+    true = LabeledVoxels(0.25, indices, np.array([ROAD, VEHICLE, ROAD], dtype=np.uint8))
+    with McapWriter(tmp_path / "flight.mcap") as file:
+        message = Message.at(0, true)
+        codec = codec_of(true)
+        file.add_channel("truth/map", codec.schema, {PAYLOAD: "LabeledVoxels"})
+        file.write("truth/map", codec.encode(message), received=0, stamp=0)
+    words = ("evaluate", "map.ply", "--truth", "flight.mcap")
+    verdict = judged(overflight(*words, "--json"))
+    assert verdict["views"]["labeled"]["accuracy"] == 1.0
+    assert (verdict["points_out_of_reach"], verdict["radius_m"]) == (1, None)
+    assert "1 have no voxel of theirs (misses)" in overflight(*words).out
+    near = judged(overflight(*words, "--json", "--radius-m", "0.25"))
+    assert near["views"]["labeled"]["accuracy"] < 1.0
 
 
 def test_a_map_alone_is_measured(overflight: Overflight, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from torch import nn
 
 from tools.train.blocks import parameters_of
 from tools.train.card import Origin, model_card
@@ -53,6 +54,7 @@ class Plan:
     data: str  #: in words
     rate: float = 2e-3
     judge: Callable[[Path], Sequence[Mapping[str, Any]]] | None = None  #: of a registry file
+    finish: Callable[[nn.Module], None] | None = None  #: the last touch of the trained network
 
 
 def carry_out(plan: Plan, order: Order, console: Console) -> Path:
@@ -77,6 +79,8 @@ def carry_out(plan: Plan, order: Order, console: Console) -> Path:
     )
     training = Training(plan.task, settings, order.output)
     network = training.run(console)
+    if plan.finish is not None:
+        plan.finish(network)
     console.print("writing ONNX, OpenVINO and TensorFlow Lite files ...", highlight=False)
     model = Exportable(plan.name, network, plan.shape, plan.outputs)
     files = write_products(model, plan.meaning, plan.samples, order.output, console)

@@ -15,6 +15,7 @@ from stages.labels import Labels
 from stages.scan_image import RangeImage
 from stages.scan_statistics import ScanStatistics
 from stages.types import CHANNELS, Image, Scan
+from tools.train.balance import balance
 from tools.train.deeplab import DeepLab
 from tools.train.detector import MEAN, STD
 from tools.train.flights import with_truth
@@ -35,6 +36,9 @@ def train_image_segmenter(order: Order, width: float, stride: int, console: Cons
     images = read_images(order.data)
     torch.manual_seed(order.seed)
     network = DeepLab(CHANNELS, width=width, stride=stride)
+    chosen = images[:: max(1, len(images) // SAMPLES)]
+    inputs = [_padded(one.pixels) for one in chosen]
+    cells = [_at_corners(one.classes, stride) for one in chosen]
     plan = Plan(
         name="segment-rgb",
         architecture=f"DeepLabv3+ on MobileNetV3 (minimalistic) x {width:g}, stride {stride}",
@@ -51,8 +55,9 @@ def train_image_segmenter(order: Order, width: float, stride: int, console: Cons
             mean=MEAN,
             std=STD,
         ),
-        samples=[_padded(one.pixels) for one in images[:: max(1, len(images) // SAMPLES)]],
+        samples=inputs,
         data=f"{order.data.name}: {len(images):,} images",
+        finish=lambda trained: balance(trained, inputs, cells),
     )
     return carry_out(plan, order, console)
 
@@ -66,6 +71,8 @@ def train_scan_segmenter(
     torch.manual_seed(order.seed)
     network = SalsaNext(CHANNELS, width=width)
     task = ScanSegmenter(network, scans, entry.mean, entry.std)
+    chosen = scans[:: max(1, len(scans) // SAMPLES)]
+    inputs = [task.as_input(one) for one in chosen]
     plan = Plan(
         name="segment-scan",
         architecture=f"SalsaNext x {width:g}",
@@ -82,8 +89,9 @@ def train_scan_segmenter(
             mean=0.0,
             std=1.0,
         ),
-        samples=[task.as_input(one) for one in scans[:: max(1, len(scans) // SAMPLES)]],
+        samples=inputs,
         data=f"{order.data.name}: {len(scans):,} scans, normalized as {sensor}",
+        finish=lambda trained: balance(trained, inputs, [one.classes for one in chosen]),
     )
     return carry_out(plan, order, console)
 
@@ -110,6 +118,15 @@ def read_scans(flight: Path, elevation_rad: tuple[float, float]) -> list[Labeled
         classes = np.where(nearest >= 0, truth.classes.ravel()[nearest], 0)
         found.append(LabeledScan(image.channels(scan, nothing, one), classes.astype(np.uint8)))
     return found
+
+
+def _at_corners(classes: NDArray[np.uint8], stride: int) -> NDArray[np.uint8]:
+    """The class of every cell: those of an image with one row and column more lie on its pixels."""
+    height, width = classes.shape
+    columns, rows = ((side - 1) // stride for side in IMAGE_SIZE)
+    at_row = np.minimum(np.arange(rows + 1) * stride, height - 1)
+    at_column = np.minimum(np.arange(columns + 1) * stride, width - 1)
+    return np.ascontiguousarray(classes[np.ix_(at_row, at_column)])
 
 
 def _padded(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -139,7 +139,7 @@ class ReferenceScheduler(Wanted):
 
     def _act(self) -> list[Start]:
         starts: list[Start] = []
-        while self._prune() or self._move() or self._infer(starts) or self._start_next(starts):
+        while self._prune() or self._infer(starts) or self._move() or self._start_next(starts):
             pass
         return starts
 
