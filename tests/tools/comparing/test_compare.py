@@ -43,7 +43,7 @@ class Interrupt(Stage):
     def process(self, image: Message[Image]) -> None:
         self.count += 1
         if self.count == self.at:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.getsignal(signal.SIGINT)(signal.SIGINT, None)
 """
 REGISTRY = """\
 models:
