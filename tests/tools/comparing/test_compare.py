@@ -27,7 +27,7 @@ stages:
   interrupt: {use: my_stages:Interrupt, inputs: {image: camera}}
 """
 STAGES = """\
-import os, signal
+import signal
 from pipeline.message import Message
 from pipeline.stage import Stage
 from stages.types import ClassScores, Image
