@@ -5,7 +5,9 @@ OverflightError
 ├── ModelError          a model file or registry entry is wrong, missing or does not fit its device
 ├── DeviceError         a device cannot be opened, or failed while it ran
 ├── DataError           a recording, calibration or other input file is wrong
-└── StageError          a stage broke its contract (wrong return, a stamp that runs backward)
+├── StageError          a stage broke its contract (wrong return, a stamp that runs backward)
+└── TransportError      processes cannot be connected: an endpoint, a key, a right, shared memory
+    └── WireError       bytes from another process are not what the graph declares: refused
 
 The command prints these without a traceback; whatever is not in this tree is a defect of ours or of
 the user's own stage, and keeps its traceback.
@@ -35,6 +37,21 @@ class DataError(OverflightError):
 
 class StageError(OverflightError):
     """A stage broke its contract."""
+
+
+class TransportError(OverflightError):
+    """Processes cannot be connected as the graph file says."""
+
+
+class WireError(TransportError):
+    """A value cannot travel, or what arrived is not what the graph declares.
+
+    `reason` is one word of `pipeline.transport.channel.Refused`, under which it is counted.
+    """
+
+    def __init__(self, reason: str, sentence: str) -> None:
+        self.reason = reason
+        super().__init__(sentence)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,243 @@
+"""Large payloads between processes of one host: a ring of slots that its writer owns.
+
+The writer copies a payload into a slot that no reader holds; a reader hands out arrays that lie in
+the slot itself and holds it until the last of them is gone. Who holds a slot is not counted in the
+memory but known to the kernel, by a lock on one byte of the file (an open-file-description lock):
+a reader that is killed holds nothing, and a writer cannot overwrite what is being read. A reader
+that is so slow that its slot was written anew before it got there sees another generation: that
+message is lost, and counted.
+
+The file is one page of header (the generation of each slot, 8 bytes, and the bytes written) and
+then the slots, page-aligned. A payload larger than the slots, or no free slot, makes a new file;
+the old one is removed and lives until its last reader lets go.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import mmap
+import os
+import struct
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from pipeline.errors import TransportError
+from pipeline.transport import shared_files
+from pipeline.transport.codec import Bytes
+from pipeline.transport.envelope import Slot
+
+PAGE = mmap.PAGESIZE
+#: Slots of one file: what fits into the header's page, 16 bytes each.
+MAX_SLOTS = 64
+#: How long a reader waits for a writer that has announced a slot and is still filling it.
+FILL_S = 0.2
+_POLL_S = 20e-6
+_FLOCK = struct.Struct("hhqqi4x")
+
+
+def _lock(descriptor: int, kind: int, index: int) -> bool:
+    """Set (or release) the lock of a slot; False where another holds it."""
+    request = _FLOCK.pack(kind, os.SEEK_SET, index, 1, 0)
+    try:
+        fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, request)
+    except OSError as error:
+        if error.errno not in (errno.EAGAIN, errno.EACCES):
+            raise
+        return False
+    return True
+
+
+class RingWriter:
+    """The owning end. Not thread-safe."""
+
+    def __init__(self, run: str, *, slots: int, budget: int, folder: Path = shared_files.FOLDER):
+        self._run = run
+        self._slots = min(max(slots, 2), MAX_SLOTS)
+        self._budget = budget  #: bytes that a file may take
+        self._folder = folder
+        self._file: _File | None = None
+        self._generation = 0
+        self._next = 0
+
+    def write(
+        self, size: int, fill: Callable[[Bytes], None], announce: Callable[[Slot], None]
+    ) -> bool:
+        """Fill a free slot with `size` bytes; False where none is free and none can be made.
+
+        `announce` is called with the slot before it is filled, so that the news travels meanwhile.
+        """
+        index = self._free(size)
+        if index is None:
+            return False
+        file = self._file
+        assert file is not None
+        self._next = (index + 1) % file.slots
+        self._generation += 1
+        try:
+            file.words[2 * index + 1] = 0
+            file.words[2 * index] = self._generation
+            announce(Slot(file.name, index, self._generation))
+            fill(file.slot(index, size))
+            file.words[2 * index + 1] = size
+        finally:
+            _lock(file.descriptor, fcntl.F_UNLCK, index)
+        return True
+
+    def close(self) -> None:
+        """Remove the file; readers keep what they hold."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _free(self, size: int) -> int | None:
+        """A slot that nobody reads, locked; makes a new file where there is none."""
+        file = self._file
+        if file is not None and size <= file.slot_bytes:
+            for step in range(file.slots):
+                index = (self._next + step) % file.slots
+                if _lock(file.descriptor, fcntl.F_WRLCK, index):
+                    return index
+            slots, slot_bytes = 2 * file.slots, file.slot_bytes
+        else:
+            slots = self._slots if file is None else file.slots
+            # Clouds differ in size: with room to grow, so that not every larger one makes a file.
+            slot_bytes = _pages(size if file is None else size + size // 4)
+        if slots > MAX_SLOTS or slots * slot_bytes > self._budget:
+            return None
+        try:
+            new = _File(self._run, slots, slot_bytes, self._folder)
+        except TransportError:
+            return None  # no room: it goes another way, which its statistics show
+        self.close()
+        self._file, self._next = new, 0
+        _lock(new.descriptor, fcntl.F_WRLCK, 0)
+        return 0
+
+
+class _File:
+    """One file of a ring, mapped and locked by its owner."""
+
+    def __init__(self, run: str, slots: int, slot_bytes: int, folder: Path) -> None:
+        self.slots, self.slot_bytes = slots, slot_bytes
+        size = PAGE + slots * slot_bytes
+        self.name, self.descriptor = shared_files.create(run, size, folder)
+        self._path = folder / self.name
+        self._memory = mmap.mmap(self.descriptor, size, mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        self._bytes = np.frombuffer(self._memory, np.uint8)
+        # A memoryview of 64-bit words stores each with one instruction.
+        self.words = memoryview(self._memory)[:PAGE].cast("Q")
+        self.words[-1] = slot_bytes
+
+    def slot(self, index: int, size: int) -> Bytes:
+        start = PAGE + index * self.slot_bytes
+        return self._bytes[start : start + size]
+
+    def close(self) -> None:
+        self._path.unlink(missing_ok=True)
+        self.words.release()
+        del self._bytes
+        self._memory.close()
+        os.close(self.descriptor)
+
+
+class RingReader:
+    """A reading end, of whatever files its writer makes. Not thread-safe."""
+
+    def __init__(self, folder: Path = shared_files.FOLDER) -> None:
+        self._folder = folder
+        self._view: _View | None = None
+
+    def read(self, slot: Slot, size: int) -> Bytes | None:
+        """The bytes of a slot, held as long as an array over them lives; None where they are gone.
+
+        Raises ValueError or OSError for a slot that cannot be.
+        """
+        view = self._view
+        if view is None or view.name != slot.file:
+            try:
+                view = _View(slot.file, self._folder)
+            except FileNotFoundError:
+                return None  # its writer has gone on to another file, or away
+            self.close()
+            self._view = view
+        return view.hold(slot, size)
+
+    def close(self) -> None:
+        """Let the file go; what was handed out stays valid."""
+        self._view = None
+
+
+class _View:
+    """One file of a ring as a reader maps it: gone with the last array over it."""
+
+    def __init__(self, name: str, folder: Path) -> None:
+        self.name = name
+        self._descriptor = shared_files.open_to_read(name, folder)
+        weakref.finalize(self, os.close, self._descriptor).atexit = False
+        self._memory = mmap.mmap(self._descriptor, 0, mmap.MAP_SHARED, mmap.PROT_READ)
+        if len(self._memory) < PAGE:
+            raise ValueError(f"{name} is no ring")
+        self._words = memoryview(self._memory)[:PAGE].cast("Q")
+        self._slot_bytes = self._words[-1]
+        self._held: set[int] = set()
+        # The last array over a slot may die on any thread, also (reentrant) in the middle of ours.
+        self._lock = threading.RLock()
+
+    def hold(self, slot: Slot, size: int) -> Bytes | None:
+        start = PAGE + slot.at * self._slot_bytes
+        if slot.at >= MAX_SLOTS or size > self._slot_bytes or start + size > len(self._memory):
+            raise ValueError(f"slot {slot.at} of {size} bytes lies outside {self.name}")
+        if not self._lock_filled(slot):
+            return None
+        if self._words[2 * slot.at] != slot.generation or self._words[2 * slot.at + 1] < size:
+            self._release(slot.at)
+            return None
+        data = np.frombuffer(self._memory, np.uint8, size, start)
+        weakref.finalize(data, self._release, slot.at).atexit = False
+        return data
+
+    def _lock_filled(self, slot: Slot) -> bool:
+        """Lock the slot for reading, once its writer has filled it."""
+        until = time.monotonic() + FILL_S
+        while not self._try_lock(slot.at):
+            if time.monotonic() > until or self._words[2 * slot.at] != slot.generation:
+                return False
+            time.sleep(_POLL_S)
+        return True
+
+    def _try_lock(self, index: int) -> bool:
+        with self._lock:
+            # A slot that we hold already cannot have been written anew.
+            if index in self._held or not _lock(self._descriptor, fcntl.F_RDLCK, index):
+                return False
+            self._held.add(index)
+            return True
+
+    def _release(self, index: int) -> None:
+        with self._lock, contextlib.suppress(OSError):
+            _lock(self._descriptor, fcntl.F_UNLCK, index)
+            self._held.discard(index)
+
+
+def _pages(size: int) -> int:
+    return -(-max(size, 1) // PAGE) * PAGE
