@@ -67,9 +67,8 @@ def encode(value: Any, schema: PayloadSchema, max_bytes: int) -> Encoded:
         header = json.dumps(writer.node(value, 0), separators=(",", ":")).encode()
     except ValueError as error:
         raise WireError("malformed", f"the payload cannot travel: {error}") from None
-    header += b" " * (
-        -len(header) % ALIGN if writer.buffers else 0
-    )  # so that buffers after it align
+    if writer.buffers:  # so that those which travel right behind it are aligned, too
+        header += b" " * (-len(header) % ALIGN)
     _check_size("header", len(header), HEADER_BYTES, "put long lists into arrays")
     _check_size("payload", writer.size, max_bytes, "raise max_bytes of the edge")
     return Encoded(header, tuple(writer.buffers), writer.size)

@@ -87,7 +87,8 @@ class LoopbackTransport:
         )
 
     def close(self) -> None:
-        self._network.members.remove(self)
+        if self in self._network.members:
+            self._network.members.remove(self)
         for outlet in self._outlets.values():
             outlet.close()
         for inlet in self._inlets.values():

@@ -134,6 +134,8 @@ class Link:
 
     def close(self) -> None:
         """End the session and its threads, and remove the shared memory."""
+        if self._over.is_set():
+            return
         self._over.set()
         for subscriber in self._subscribers:
             with contextlib.suppress(zenoh.ZError):
