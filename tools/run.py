@@ -17,8 +17,10 @@ from pipeline.drivers.run import run_graph
 from pipeline.measuring.board import Board
 from pipeline.measuring.expectations import failed, verdicts
 from pipeline.measuring.trace import CAPACITY, Trace
+from pipeline.recording.mcap import Compression
 from tools.check import verdict_table
 from tools.load import open_graph
+from tools.recording.record import recording
 from tools.validate import print_warnings
 from tools.watching.progress import Progress
 from tools.watching.report import print_report
@@ -37,6 +39,9 @@ def run_file(
     report: Path | None = None,
     trace: Path | None = None,
     trace_entries: int = CAPACITY,
+    record: Path | None = None,
+    record_edges: Sequence[str] = (),
+    record_compression: Compression = "lz4",
     as_json: bool = False,
     quiet: bool = False,
 ) -> Sequence[str]:
@@ -51,11 +56,23 @@ def run_file(
         make_room_for(report)
     if trace is not None:
         make_room_for(trace, "trace")
+    if record is not None:
+        make_room_for(record, "recording")
     started = time.time()
     recorded = None if trace is None else Trace(trace_entries)
     try:
         with contextlib.ExitStack() as stack:
             progress = Progress(graph.topology, Console(stderr=True))
+            recorder = None
+            if record is not None:
+                kept = recording(
+                    record,
+                    graph,
+                    offline=speed is None,
+                    edges=record_edges,
+                    compression=record_compression,
+                )
+                recorder = stack.enter_context(kept)
             result = run_graph(
                 graph,
                 catalog,
@@ -64,6 +81,7 @@ def run_file(
                 progress=None if quiet else stack.enter_context(progress),
                 trace=recorded,
                 board=_open_board(stack),
+                recorder=recorder,
             )
     finally:  # a run that ended badly is the one to look at
         if recorded is not None and trace is not None and recorded.recorded:
@@ -86,7 +104,10 @@ def run_file(
         print_report(result.report, console)
         if judged:
             console.print("\n", verdict_table(judged), sep="")
-        files = [*_written(out, started), *(file for file in (report, trace) if file is not None)]
+        files = [
+            *_written(out, started),
+            *(file for file in (report, trace, record) if file is not None),
+        ]
         if files:
             names = ", ".join(dict.fromkeys(map(str, files)))
             console.print(f"Written: {names}", highlight=False, soft_wrap=True)

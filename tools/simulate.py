@@ -22,15 +22,14 @@ import stages.codecs
 import stages.simulation
 from pipeline.errors import DataError
 from pipeline.message import Message
-from pipeline.recording.codec import Codec
-from pipeline.recording.foxglove import schema
+from pipeline.recording.codec import PAYLOAD, Codec
 from pipeline.recording.mcap import McapReader, McapWriter
-from stages.codecs.poses import PoseCodec, encode_camera, encode_mounts
-from stages.codecs.registry import PAYLOAD, codec_of
+from stages.codecs.poses import PoseCodec
+from stages.codecs.registry import codec_of
 from stages.labels import LabeledVoxels
 from stages.simulation.simulation import Exposure, Sample, Simulation
 from stages.simulation.specification import Preset, load_preset
-from stages.sources.recording import CAMERAS, MOUNTS
+from stages.sources.recording import write_calibration
 from tools.versions import own_version
 
 T = TypeVar("T")
@@ -141,13 +140,7 @@ def _make(preset: Preset, folder: Path, output: Path, made_from: dict[str, str],
 
 
 def _write(simulation: Simulation, file: McapWriter, console: Console, jobs: int) -> None:
-    calibration = simulation.rig.calibration()
-    file.add_channel(MOUNTS, schema("FrameTransforms"))
-    file.write(MOUNTS, encode_mounts(calibration, 0), received=0, stamp=0)
-    for name in calibration.cameras():
-        file.add_channel(CAMERAS + name, schema("CameraCalibration"))
-        data = encode_camera(name, calibration.camera(name), 0)
-        file.write(CAMERAS + name, data, received=0, stamp=0)
+    write_calibration(file, simulation.rig.calibration())
     turns = simulation.exposures()
 
     def make(turn: Exposure) -> list[tuple[Sample, bytes]]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from statistics import median_low
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.clock import Clock, ManualClock, ScaledClock
 from pipeline.drivers.devices import Devices
@@ -32,6 +32,9 @@ from pipeline.message import Message
 from pipeline.scheduling.scheduler import Scheduler
 from pipeline.scheduling.topology import Port
 from pipeline.stage import ModelStage, Source, Stage
+
+if TYPE_CHECKING:
+    from pipeline.recording.recorder import Recorder
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,18 +76,21 @@ def run_graph(
     profiler: Profiler | None = None,
     trace: Trace | None = None,
     board: Board | None = None,
+    recorder: Recorder | None = None,
 ) -> RunResult:
     """Run a graph to the end of its sources, for `duration_s`, or to Ctrl-C.
 
     `speed` is graph time over real time; None is offline: as fast as possible, nothing dropped,
-    the same results every time. A `trace` records the run; on a `board` other processes see how it
-    stands. Raises OverflightError where a device or stage does not open.
+    the same results every time. A `trace` notes what was done when; on a `board` other processes
+    see how it stands; a `recorder` (entered by the caller) writes messages and decisions. Raises
+    OverflightError where a device or stage does not open.
     """
     offline = speed is None
     statistics = Statistics(offline=offline, profiler=profiler)
     profiler = statistics.profiler
     observers = [statistics, *([trace] if trace is not None else [])]
-    scheduler = Scheduler(graph.topology, offline=offline, observer=observed_by(*observers))
+    make = Scheduler if recorder is None else recorder.scheduler
+    scheduler = make(graph.topology, offline=offline, observer=observed_by(*observers))
     if trace is not None:
         statistics.on_event = trace.told
     status = None
@@ -150,6 +156,8 @@ def run_graph(
             )
         started = time.monotonic_ns()
         profiler.start(graph.devices)
+        if recorder is not None:
+            stack.enter_context(recorder.writing(profiler))
         if status is not None:
             status.begin(speed, clock, driver.still)
         with stopped_by_signals(on_signal):
@@ -163,6 +171,8 @@ def run_graph(
     )
     ended = f"signal {signaled[0].name}" if signaled else str(how)
     report["ended"] = ended
+    if recorder is not None:
+        report["recording"] = recorder.statistics()
     return RunResult(report, tuple(statistics.failures), tuple(statistics.events), ended)
 
 

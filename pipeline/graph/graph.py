@@ -24,6 +24,7 @@ from pipeline.graph.spec import DeviceSpec, ExpectSpec, StageSpec
 from pipeline.graph.structure import check_structure
 from pipeline.graph.timing import check_timing
 from pipeline.graph.wiring import Wirer
+from pipeline.graph.written import Written
 from pipeline.model import Accelerator, ModelSpec
 from pipeline.scheduling.topology import Input, OnError, StageNode, Topology
 from pipeline.stage import Source, Stage
@@ -77,6 +78,7 @@ class Graph:
     parameters: Mapping[str, Any]
     expect: ExpectSpec  #: what a run must keep to, outputs as ``stage/port``
     warnings: tuple[Mistake, ...]
+    written: Written | None = None  #: the resolved file; None where the graph came from no file
 
     def stage(self, name: str) -> GraphStage:
         """The named stage; raises LookupError."""
@@ -160,6 +162,7 @@ def load_graph(
         ),
         expect=expect,
         warnings=report.warnings,
+        written=Written(tree, report.paths, out),
     )
 
 

@@ -93,7 +93,7 @@ def bind_options(
             sound = sound and device is not None
             continue
         try:
-            arguments[option.name] = _convert(option, node)
+            arguments[option.name] = _convert(option, node, report.paths)
         except _WrongValue as error:
             for inside, sentence in error.found:
                 report.mistake((*steps, option.name, *inside), sentence)
@@ -155,7 +155,7 @@ class _WrongValue(Exception):
         self.found = found
 
 
-def _convert(option: Option, node: Node) -> Any:
+def _convert(option: Option, node: Node, paths: dict[int, Path]) -> Any:
     value = node.plain()
     try:
         converted = _adapter(option.annotation).validate_json(json.dumps(value), strict=True)
@@ -164,7 +164,7 @@ def _convert(option: Option, node: Node) -> Any:
     except PydanticUserError:
         what = f"is annotated {option.type_name}, which a graph file cannot hold"
         raise _WrongValue([((), what)]) from None
-    return _with_paths(converted, node)
+    return _with_paths(converted, node, paths)
 
 
 def _adapter(annotation: Any) -> TypeAdapter[Any]:
@@ -174,15 +174,17 @@ def _adapter(annotation: Any) -> TypeAdapter[Any]:
         return TypeAdapter(annotation)  # a model or dataclass, which brings its own config
 
 
-def _with_paths(value: Any, node: Node) -> Any:
-    """Relative paths begin where the file lies that wrote them."""
+def _with_paths(value: Any, node: Node, paths: dict[int, Path]) -> Any:
+    """Relative paths begin where the file lies that wrote them; `paths` gets them by node."""
     if isinstance(value, Path):
-        return node.base / os.path.expanduser(value)  # noqa: PTH111  # which raises for no user
+        path = node.base / os.path.expanduser(value)  # noqa: PTH111  # which raises for no user
+        paths[id(node)] = path
+        return path
     children = node.children()
     if type(value) in (list, tuple) and len(value) == len(children):
-        return type(value)(_with_paths(item, children[at]) for at, item in enumerate(value))
+        return type(value)(_with_paths(item, children[at], paths) for at, item in enumerate(value))
     if type(value) is dict and set(value) <= set(children):
-        return {key: _with_paths(item, children[key]) for key, item in value.items()}
+        return {key: _with_paths(item, children[key], paths) for key, item in value.items()}
     return value
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from pipeline.errors import GraphError, Mistake
 from pipeline.graph.nodes import Mark, Node, Steps
@@ -15,6 +16,7 @@ class Report:
         self._mistakes: list[tuple[Mark, Mistake]] = []
         self._warnings: list[tuple[Mark, Mistake]] = []
         self.tree: Node | None = None  #: the merged file, once there is one
+        self.paths: dict[int, Path] = {}  #: where each path of an option leads, by `id` of its node
 
     def mistake_at(self, mark: Mark, what: str, steps: Steps = ()) -> None:
         """A mistake whose place is known."""

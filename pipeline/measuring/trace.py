@@ -109,7 +109,7 @@ class Trace(Observer):
                 stage,
                 number,
                 inputs.trigger.stamp,
-                _numbers(inputs.values),
+                inputs.numbers(),
                 tuple((name, edge, mark.value) for name, edge, mark in inputs.marks),
             )
         )
@@ -175,10 +175,3 @@ class TracedWorker(Worker):
             return super().execute(run, step)
         finally:
             self._trace.step(run, step, began, device)
-
-
-def _numbers(value: Any) -> Any:
-    """The numbers of the messages of a set, in the set's own shape."""
-    if isinstance(value, tuple):
-        return tuple(map(_numbers, value))
-    return None if value is None else value.seq

@@ -5,10 +5,14 @@ The codec of a payload lives beside the payload, not here: this floor knows no s
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from pipeline.message import Message
+
+#: The key of a channel's metadata that names the payload type.
+PAYLOAD = "payload"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,4 +37,16 @@ class Codec(Protocol):
 
     def decode(self, data: bytes, received: int) -> Message[Any]:
         """The message again; its arrays are read-only. Raises DataError for other bytes."""
+        ...
+
+
+class Codecs(Protocol):
+    """The codecs of the floors above, as a recorder and a replay ask for them."""
+
+    def writing(self, payload: object) -> Codec:
+        """The codec that keeps every bit of a payload. Raises DataError where there is none."""
+        ...
+
+    def reading(self, schema: str, metadata: Mapping[str, str]) -> Codec | None:
+        """The codec of a channel with this schema; None where its messages are no payload."""
         ...

@@ -24,12 +24,14 @@ _MESSAGES = {
     "Color": "r:1:double g:2:double b:3:double a:4:double",
     "CompressedImage": "timestamp:1:Timestamp data:2:bytes format:3:string frame_id:4:string "
     "unit_m:1003:double",
+    "RawImage": "timestamp:1:Timestamp width:2:fixed32 height:3:fixed32 encoding:4:string "
+    "step:5:fixed32 data:6:bytes frame_id:7:string unit_m:1003:double",
     "PackedElementField": "name:1:string offset:2:fixed32 type:3:NumericType",
     "PointCloud": "timestamp:1:Timestamp frame_id:2:string pose:3:Pose point_stride:4:fixed32 "
     "fields:5:PackedElementField* data:6:bytes "
     "rows:1003:fixed32 columns:1004:fixed32 column_times_ns:1005:sint32* voxel_m:1006:double",
     "FrameTransform": "timestamp:1:Timestamp parent_frame_id:2:string child_frame_id:3:string "
-    "translation:4:Vector3 rotation:5:Quaternion",
+    "translation:4:Vector3 rotation:5:Quaternion matrix:1003:double*",
     "FrameTransforms": "transforms:1:FrameTransform*",
     "CameraCalibration": "timestamp:1:Timestamp width:2:fixed32 height:3:fixed32 "
     "distortion_model:4:string D:5:double* K:6:double* R:7:double* P:8:double* frame_id:9:string",

@@ -84,6 +84,16 @@ class InputSet(NamedTuple):
     values: tuple[Any, ...]  #: one per input in signature order; a tuple of Values where `many`
     marks: tuple[tuple[str, int, Mark], ...] = ()  #: (input, edge number in it, mark)
 
+    def numbers(self) -> tuple[Any, ...]:
+        """The numbers of its messages (`seq`), in the shape of `values`."""
+        return tuple(map(_numbers, self.values))
+
+
+def _numbers(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(map(_numbers, value))
+    return None if value is None else value.seq
+
 
 @dataclass(slots=True, eq=False)
 class Run:

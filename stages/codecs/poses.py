@@ -18,7 +18,7 @@ MAP, BASE = "map", "base"
 
 
 class PoseCodec:
-    """The vehicle's pose as the transform from `base` to `map`."""
+    """The vehicle's pose as the transform from `base` to `map`; its matrix beside it, lossless."""
 
     def __init__(self, child: str = BASE) -> None:
         """`child` names the frame: the truth must not move the vehicle that a viewer shows."""
@@ -31,6 +31,7 @@ class PoseCodec:
     def encode(self, message: Message[Pose]) -> bytes:
         proto = foxglove.new("FrameTransform")
         _put_transform(proto, MAP, self._child, message.payload.map_from_base)
+        proto.matrix.extend(message.payload.map_from_base.ravel().tolist())
         foxglove.put_times(proto, message)
         return bytes(proto.SerializeToString())
 
@@ -39,10 +40,17 @@ class PoseCodec:
             proto = foxglove.parse("FrameTransform", data)
         except ValueError as error:
             raise DataError(f"damaged pose ({error})") from error
-        pose = _transform(proto)
+        pose = _matrix(proto) if proto.matrix else _transform(proto)
         pose.flags.writeable = False
         stamp, begin, end = foxglove.times(proto)
         return Message.at(stamp, Pose(pose), begin=begin, end=end, received=received)
+
+
+def _matrix(proto: Any) -> NDArray[np.float64]:
+    pose = np.array(proto.matrix, dtype=np.float64)
+    if pose.size != 16 or not np.isfinite(pose).all():
+        raise DataError(f"damaged pose: {pose.size} finite numbers are no 4 x 4 matrix")
+    return pose.reshape(4, 4)
 
 
 def encode_mounts(calibration: Calibration, stamp: int) -> bytes:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pipeline.errors import DataError
-from pipeline.recording.codec import Codec
-from pipeline.recording.mcap import Channel
+from pipeline.recording.codec import PAYLOAD, Codec
 from stages.codecs.boxes import DetectionsCodec
 from stages.codecs.clouds import ScanCodec, VoxelsCodec
 from stages.codecs.images import DepthCodec, ImageCodec, LabelsCodec
 from stages.codecs.poses import PoseCodec
+from stages.codecs.raw_images import RawDepthCodec, RawImageCodec
 from stages.labels import LabeledVoxels, Labels
 from stages.types import DepthImage, Detections, Image, Pose, Scan
 
@@ -26,11 +26,16 @@ CODECS: Mapping[type, Codec] = {
     Detections: DetectionsCodec(),
 }
 
-#: The key of a channel's metadata that names the payload type.
-PAYLOAD = "payload"
+#: Those that keep every bit, where `CODECS` trades bits or time for size.
+LOSSLESS: Mapping[type, Codec] = {
+    **CODECS,
+    Image: RawImageCodec(),
+    DepthImage: RawDepthCodec(),
+}
 
 #: What a topic of another program is taken for, by its schema.
 _BY_SCHEMA = {
+    "foxglove.RawImage": Image,
     "foxglove.CompressedImage": Image,
     "foxglove.PointCloud": Scan,
     "foxglove.FrameTransform": Pose,
@@ -46,11 +51,26 @@ def codec_of(payload: object) -> Codec:
         raise DataError(f"no codec writes {type(payload).__name__} to a recording") from None
 
 
-def codec_for(channel: Channel) -> Codec | None:
+def codec_for(schema: str, metadata: Mapping[str, str]) -> Codec | None:
     """The codec that reads a topic's messages; None where they are no payload of ours."""
-    named = channel.metadata.get(PAYLOAD)
-    for payload, codec in CODECS.items():
-        if payload.__name__ == named:
-            return codec
-    payload_type = None if named else _BY_SCHEMA.get(channel.schema)
-    return CODECS[payload_type] if payload_type else None
+    named = metadata.get(PAYLOAD)
+    foreign = _BY_SCHEMA.get(schema)
+    for known in (CODECS, LOSSLESS):
+        for payload, codec in known.items():
+            ours = payload.__name__ == named if named else payload is foreign
+            if ours and codec.schema.name == schema:
+                return codec
+    return None
+
+
+class PayloadCodecs:
+    """The codecs as a recorder and a replay ask for them."""
+
+    def writing(self, payload: object) -> Codec:
+        try:
+            return LOSSLESS[type(payload)]
+        except KeyError:
+            raise DataError(f"no codec writes {type(payload).__name__} to a recording") from None
+
+    def reading(self, schema: str, metadata: Mapping[str, str]) -> Codec | None:
+        return codec_for(schema, metadata)

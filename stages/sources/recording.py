@@ -9,9 +9,10 @@ from typing import Any
 
 from pipeline.errors import DataError
 from pipeline.message import Message
-from pipeline.recording.mcap import McapReader
+from pipeline.recording.foxglove import schema
+from pipeline.recording.mcap import McapReader, McapWriter
 from pipeline.stage import Source
-from stages.codecs.poses import decode_calibration
+from stages.codecs.poses import decode_calibration, encode_camera, encode_mounts
 from stages.codecs.registry import codec_for
 from stages.types import Calibration
 
@@ -38,7 +39,7 @@ class Recording(Source):
             close = get_close_matches(self.topic, channels, n=1)
             hint = f"did you mean '{close[0]}'?" if close else f"it has {', '.join(channels)}"
             raise DataError(f"{self.path}: no topic '{self.topic}'; {hint}")
-        codec = codec_for(channels[self.topic])
+        codec = codec_for(channels[self.topic].schema, channels[self.topic].metadata)
         if codec is None:
             raise DataError(
                 f"{self.path}: topic '{self.topic}' holds {channels[self.topic].schema}, which is "
@@ -53,6 +54,16 @@ class Recording(Source):
             except DataError as error:
                 where = f"{self.path}: {self.topic}, message {record.seq}"
                 raise DataError(f"{where}: {error}") from error
+
+
+def write_calibration(file: McapWriter, calibration: Calibration) -> None:
+    """Give a recording the calibration that `calibration` reads; before its first message."""
+    file.add_channel(MOUNTS, schema("FrameTransforms"))
+    file.write(MOUNTS, encode_mounts(calibration, 0), received=0, stamp=0)
+    for name in calibration.cameras():
+        file.add_channel(CAMERAS + name, schema("CameraCalibration"))
+        data = encode_camera(name, calibration.camera(name), 0)
+        file.write(CAMERAS + name, data, received=0, stamp=0)
 
 
 def calibration(*, path: Path) -> Calibration:

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from pipeline.message import Message
+from pipeline.recording.codec import PAYLOAD
 from pipeline.recording.mcap import McapWriter
-from stages.codecs.registry import PAYLOAD, codec_of
+from stages.codecs.registry import codec_of
 from stages.labels import LabeledVoxels, Labels
 from stages.sinks.npz import WriteNpz
 from stages.sinks.ply import WritePly

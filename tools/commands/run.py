@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,14 @@ import typer
 
 from tools.commands.app import RUN_FAILED, app, complain
 from tools.commands.options import GraphFile, ModelFiles, Out, Overlays, Settings, parse_speed
+
+
+class CompressionName(StrEnum):
+    """How a recording is compressed."""
+
+    LZ4 = "lz4"
+    ZSTD = "zstd"
+    NONE = "none"
 
 
 @app.command(
@@ -59,6 +68,28 @@ def run(
             metavar="COUNT", min=1, help="Keep so many entries of the trace, the last ones."
         ),
     ] = 200_000,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Record the run as an MCAP file, for Foxglove, Rerun, `overflight explain` and "
+            "replay. Recording never holds the run back.",
+            show_default=False,
+        ),
+    ] = None,
+    record_edges: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Whose messages are written: stages, outputs (stage/port), 'sources' or 'all', "
+            "with commas. Hashes and decisions are always written. Repeatable.",
+            show_default="sources",
+        ),
+    ] = None,
+    record_compression: Annotated[
+        CompressionName,
+        typer.Option(help="lz4 costs least CPU, zstd least disk."),
+    ] = CompressionName.LZ4,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the report as JSON instead of a table.")
     ] = False,
@@ -81,6 +112,9 @@ def run(
         report=report,
         trace=trace,
         trace_entries=trace_entries,
+        record=record,
+        record_edges=record_edges or (),
+        record_compression=record_compression.value,
         as_json=as_json,
         quiet=quiet,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
@@ -18,6 +19,7 @@ from pipeline.measuring.statistics import Statistics
 from pipeline.measuring.trace import Trace, TracedWorker
 from pipeline.message import Message
 from pipeline.model import BoundModel
+from pipeline.recording.recorder import Recorder
 from pipeline.scheduling.scheduler import Scheduler
 from pipeline.scheduling.topology import StageNode, Topology
 from pipeline.stage import Stage
@@ -98,12 +100,14 @@ def drive(
     duration_s: float | None = None,
     during: Callable[[LiveDriver | OfflineDriver], None] | None = None,
     trace: Trace | None = None,
+    recorder: Recorder | None = None,
 ) -> Ran:
     """Run stages over sources; `during` is called with the driver at every tick."""
     topology = Topology(tuple(nodes), check_every=check_every_ms * MS)
     statistics = Statistics(offline=not live)
     observers = [statistics] if trace is None else [statistics, trace]
-    scheduler = Scheduler(topology, offline=not live, observer=observed_by(*observers))
+    make = Scheduler if recorder is None else recorder.scheduler
+    scheduler = make(topology, offline=not live, observer=observed_by(*observers))
     worker = Worker if trace is None else partial(TracedWorker, trace=trace)
     if trace is not None:
         sources = {name: trace.samples(name, source) for name, source in sources.items()}
@@ -134,5 +138,6 @@ def drive(
             topology, scheduler, workers, dict(sources), ManualClock(), statistics, on_failure
         )
     started = time.monotonic()
-    ended = driver.run(duration_s, (lambda: during(driver)) if during else (lambda: None))
+    with nullcontext() if recorder is None else recorder.writing(statistics.profiler):
+        ended = driver.run(duration_s, (lambda: during(driver)) if during else (lambda: None))
     return Ran(scheduler, statistics, time.monotonic() - started, ended)

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from pipeline.errors import DataError
 from pipeline.message import Message
-from pipeline.recording.mcap import Channel
+from pipeline.recording.codec import PAYLOAD
 from stages.codecs.poses import (
     decode_calibration,
     encode_camera,
     encode_mounts,
     quaternion_from_rotation,
 )
-from stages.codecs.registry import CODECS, PAYLOAD, codec_for, codec_of
+from stages.codecs.registry import CODECS, codec_for, codec_of
 from stages.kernels.geometry import rotation_exp, rotation_from_quaternion
 from stages.labels import LabeledVoxels, Labels
 from stages.types import (
@@ -162,7 +162,7 @@ def test_a_calibration_comes_back() -> None:
 
 def test_a_topic_is_read_by_the_payload_it_names_else_by_its_schema() -> None:
     def codec(schema: str, **metadata: str) -> object:
-        return codec_for(Channel("t", schema, metadata, 1))
+        return codec_for(schema, metadata)
 
     assert codec("foxglove.CompressedImage", **{PAYLOAD: "Labels"}) is CODECS[Labels]
     assert codec("foxglove.PointCloud") is CODECS[Scan]

@@ -9,10 +9,10 @@ import pytest
 
 from pipeline.errors import DataError
 from pipeline.message import Message
-from pipeline.recording.codec import Schema
+from pipeline.recording.codec import PAYLOAD, Schema
 from pipeline.recording.mcap import McapWriter
 from stages.codecs.poses import encode_mounts
-from stages.codecs.registry import PAYLOAD, codec_of
+from stages.codecs.registry import codec_of
 from stages.sources.recording import MOUNTS, Recording, calibration
 from stages.types import Calibration, Pose, SensorCalibration
 

@@ -1,0 +1,1 @@
+"""Recorded flights: written, looked at, replayed and explained."""
