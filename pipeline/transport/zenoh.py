@@ -33,7 +33,7 @@ DEFAULTS: Mapping[str, Any] = {
     "scouting/gossip/enabled": False,
     "transport/shared_memory/enabled": False,
     # Who starts first does not matter, and who is started anew is found again at once.
-    "connect/timeout_ms": 0,
+    "connect/timeout_ms": -1,
     "connect/exit_on_failure": False,
     "connect/retry": {"period_init_ms": 100, "period_max_ms": 100, "period_increase_factor": 1},
     "open/return_conditions/connect_scouted": False,
@@ -132,6 +132,11 @@ class Link:
             {key: inlet.statistics() for key, inlet in self._inlets.items()},
         )
 
+    def peers(self) -> int:
+        """How many processes are connected now; none may mean wrong credentials, which Zenoh does
+        not tell to the one that has them."""
+        return len(self._session.info.peers_zid())
+
     def close(self) -> None:
         """End the session and its threads, and remove the shared memory."""
         if self._over.is_set():
@@ -161,6 +166,8 @@ class Link:
 
     def _declared(self, channel: Channel, declare: Callable[[str], Any]) -> Any:
         try:
+            if set(channel.key) & set("*$"):
+                raise zenoh.ZError("it has wildcards")
             return declare(channel.key)
         except zenoh.ZError as error:
             raise TransportError(f"'{channel.key}' is no key of a channel: {error}") from None

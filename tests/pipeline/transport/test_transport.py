@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import pytest
+from transport_ends import CHANNEL, Listener, box, envelope, until
 from wire_payloads import Box, Undeclared
 
 from pipeline.errors import TransportError, WireError
 from pipeline.message import Message, Sample
-from pipeline.transport.channel import Arrival, Channel, Transport
+from pipeline.transport.channel import Channel, Transport
 from pipeline.transport.envelope import Envelope, Kind
 from pipeline.transport.loopback import LoopbackNetwork
 from pipeline.transport.outlet import INLINE_BYTES
 from pipeline.transport.schema import PayloadSchema
 from pipeline.transport.zenoh import Link, LinkOptions, free_endpoint
 
-CHANNEL = Channel("test/camera/out", "camera/out", PayloadSchema.of([Box]))
 CORNERS = {"inline": 4, "slot": INLINE_BYTES}
 
 
@@ -72,41 +71,6 @@ def ends(request: pytest.FixtureRequest) -> Iterator[Ends]:
         end.close()
     assert not list(Path("/dev/shm").glob("overflight-test-*"))
     assert not list(Path("/dev/shm").glob("overflight-loopback-*"))
-
-
-def until(condition: Callable[[], Any]) -> None:
-    """Wait for what another thread does; fails after 20 s."""
-    end = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)
-
-
-class Listener:
-    """Keeps what arrives."""
-
-    def __init__(self) -> None:
-        self.arrivals: list[Arrival] = []
-
-    def __call__(self, arrival: Arrival) -> None:
-        self.arrivals.append(arrival)
-
-    @property
-    def messages(self) -> list[Arrival]:
-        return [each for each in self.arrivals if each.envelope.kind is Kind.MESSAGE]
-
-    @property
-    def lost(self) -> int:
-        return sum(each.lost for each in self.arrivals)
-
-
-def box(corners: int, label: str = "car") -> Box:
-    return Box(np.arange(corners, dtype=np.float32), label)
-
-
-def envelope(number: int) -> Envelope:
-    message = Message(None, number, number - 1, number + 1, number + 2, number)
-    return Envelope.of(message, "camera/out", number + 1)
 
 
 def connected(ends: Ends, channel: Channel = CHANNEL) -> tuple[Transport, Transport, Listener]:

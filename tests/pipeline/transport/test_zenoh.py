@@ -1,0 +1,161 @@
+"""Zenoh's link under slow readers, killed publishers and late starts."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from transport_ends import CHANNEL, Listener, box, envelope, until
+
+from pipeline.transport.channel import Arrival, ChannelStatistics
+from pipeline.transport.envelope import Envelope, Kind
+from pipeline.transport.outlet import INLINE_BYTES
+from pipeline.transport.shared_files import sweep
+from pipeline.transport.zenoh import Link, LinkOptions, free_endpoint
+
+HERE = Path(__file__).parent
+OTHER = replace(CHANNEL, key="test/lidar/out", port="lidar/out")
+
+
+@contextmanager
+def pair() -> Iterator[tuple[Link, Link]]:
+    endpoint = free_endpoint()
+    with (
+        Link(LinkOptions(listen=[endpoint], run="zenoh")) as publisher,
+        Link(LinkOptions(connect=[endpoint], run="zenoh")) as subscriber,
+    ):
+        yield publisher, subscriber
+
+
+class Slow(Listener):
+    """Stands still at its first message until it is let go."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.go = threading.Event()
+
+    def __call__(self, arrival: Arrival) -> None:
+        super().__call__(arrival)
+        if arrival.envelope.kind is Kind.MESSAGE:
+            self.go.wait(20)
+
+
+def books(link: Link) -> ChannelStatistics:
+    return link.statistics().subscribed[CHANNEL.key]
+
+
+@pytest.mark.parametrize("local", [True, False], ids=["one host", "two hosts"])
+def test_a_slow_reader_gets_the_latest_loses_its_own_by_count_and_delays_no_other(
+    local: bool,
+) -> None:
+    slow, other = Slow(), Listener()
+    channel = replace(CHANNEL, local=local, depth=2)
+    with pair() as (publisher, subscriber):
+        for each, listener in ((channel, slow), (OTHER, other)):
+            publisher.advertise(each)
+            subscriber.subscribe(each, listener)
+        until(lambda: slow.arrivals and other.arrivals)
+        for number in range(30):
+            publisher.publish(channel.key, envelope(number), box(INLINE_BYTES, str(number)))
+            news = Envelope(Kind.BOUND, "lidar/out", number)
+            publisher.publish(OTHER.key, news)
+            until(lambda: other.arrivals[-1].envelope.bound == news.bound)  # noqa: B023
+        slow.go.set()
+        until(lambda: slow.arrivals[-1].envelope.number == 30)  # the news that repeat
+        assert len(slow.messages) + slow.lost == 30
+        assert slow.messages[-1].payload.label == "29"
+        assert 1 <= len(slow.messages) <= 3
+        assert (books(subscriber).received, books(subscriber).lost) == (
+            len(slow.messages),
+            slow.lost,
+        )
+
+
+def test_a_channel_that_blocks_loses_nothing_to_a_slow_reader() -> None:
+    slow = Slow()
+    channel = replace(CHANNEL, block=True, depth=2, local=False)
+    with pair() as (publisher, subscriber):
+        publisher.advertise(channel)
+        subscriber.subscribe(channel, slow)
+        until(lambda: slow.arrivals)
+
+        def publish() -> None:
+            for number in range(200):
+                publisher.publish(channel.key, envelope(number), box(INLINE_BYTES))
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        until(lambda: slow.messages)
+        slow.go.set()
+        thread.join()
+        until(lambda: len(slow.messages) == 200)
+        assert slow.lost == 0
+
+
+def test_who_starts_first_does_not_matter() -> None:
+    endpoint, listener = free_endpoint(), Listener()
+    with Link(LinkOptions(connect=[endpoint])) as subscriber:
+        subscriber.subscribe(CHANNEL, listener)
+        with Link(LinkOptions(listen=[endpoint])) as publisher:
+            publisher.advertise(CHANNEL)
+            publisher.publish(CHANNEL.key, Envelope(Kind.END, "camera/out", 5))
+            until(lambda: listener.arrivals)
+
+
+def test_a_link_ends_with_its_threads_and_descriptors_also_twice() -> None:
+    def held() -> tuple[int, int]:
+        return threading.active_count(), len(list(Path("/proc/self/fd").iterdir()))
+
+    def once() -> None:
+        with pair() as (publisher, subscriber):
+            publisher.advertise(CHANNEL)
+            subscriber.subscribe(CHANNEL, Listener())
+            publisher.close()
+
+    once()  # what the library keeps for good
+    before = held()
+    once()
+    until(lambda: held() <= before)
+
+
+@contextmanager
+def process(endpoint: str) -> Iterator[subprocess.Popen[bytes]]:
+    path = os.pathsep.join(map(str, (HERE.parents[2], HERE)))
+    with subprocess.Popen(
+        [sys.executable, str(HERE / "link_process.py"), endpoint],
+        env={**os.environ, "PYTHONPATH": path},
+    ) as child:
+        try:
+            yield child
+        finally:
+            child.kill()
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_a_killed_publisher_is_heard_again_and_leaves_nothing() -> None:
+    sweep("killed")  # of an earlier test run that was killed itself
+    endpoint, listener = free_endpoint(), Listener()
+    with Link(LinkOptions(connect=[endpoint])) as subscriber:
+        subscriber.subscribe(CHANNEL, listener)
+        lives = []
+        for _ in range(3):
+            heard = len(listener.messages)
+            with process(endpoint):
+                until(lambda heard=heard: len(listener.messages) > heard + 5)  # type: ignore[misc]
+                lives.append(listener.messages[-1].envelope.epoch)
+            assert len(sweep("killed")) == 1
+        assert len(set(lives)) == 3
+        assert books(subscriber).refused == {}
+        assert int(listener.messages[-1].payload.corners[-1]) == INLINE_BYTES - 1
+        received_or_lost = books(subscriber).received + books(subscriber).lost
+        last = {each.envelope.epoch: each.envelope.number + 1 for each in listener.messages}
+        assert received_or_lost + books(subscriber).missed_before >= sum(last.values())
+    assert not list(Path("/dev/shm").glob("overflight-killed-*"))
