@@ -191,4 +191,5 @@ def stranger_config(endpoint: str) -> zenoh.Config:
     config.insert_json5("connect/endpoints", f'["{endpoint}"]')
     config.insert_json5("listen/endpoints", "[]")
     config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("transport/shared_memory/enabled", "false")  # it leaves files behind
     return config
