@@ -25,7 +25,7 @@ PACKAGES = ("pipeline", "accelerators", "stages", "graphs", "tools")
 #: In the order of `--help`: fly, look at what flew, prepare, look things up.
 COMMANDS = (
     *("run", "top", "check", "validate", "plan", "profile", "compare", "doctor"),
-    *("evaluate", "evaluate_detections", "statistics", "simulate"),
+    *("evaluate", "evaluate_detections", "statistics", "simulate", "propagate"),
     *("graph", "inspect", "stages", "devices", "schema", "version"),
 )
 

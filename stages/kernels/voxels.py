@@ -47,3 +47,9 @@ def unpack(keys: NDArray[np.int64]) -> NDArray[np.int32]:
     """Voxel indices (n, 3) of keys (n,)."""
     axes = np.stack([keys >> 42, (keys >> 21) & 0x1FFFFF, keys & 0x1FFFFF], axis=1)
     return np.asarray(axes - REACH, dtype=np.int32)
+
+
+def pack(indices: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Keys (n,) of voxel indices (n, 3) within `REACH`."""
+    x, y, z = (indices.astype(np.int64) + REACH).T
+    return np.asarray(x << 42 | y << 21 | z, dtype=np.int64)

@@ -36,7 +36,7 @@ class WriteLabels(Stage):
             raise ValueError(f"rate_hz must be above 0, not {rate_hz}")
         self._folder = Path(folder)
         self._rate_hz = rate_hz
-        self._ids = _ids_of(label_set)
+        self._ids = ids_of(label_set)
         self._written: set[int] = set()
 
     def process(self, cloud: Message[Cloud]) -> None:
@@ -70,7 +70,7 @@ def frame_of(stamp: int, rate_hz: float) -> int:
     return round(stamp * rate_hz / 1e9)
 
 
-def _ids_of(label_set: str | None) -> NDArray[np.int64]:
+def ids_of(label_set: str | None) -> NDArray[np.int64]:
     """(classes,) the id to write for each of our classes. Raises ValueError for no such set."""
     taxonomy = load_taxonomy()
     if label_set is None:

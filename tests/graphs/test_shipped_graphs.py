@@ -18,10 +18,26 @@ GRAPHS = Path(__file__).resolve().parents[2] / "graphs"
 EMULATED = GRAPHS / "emulated_uav.yaml"
 
 #: Graphs that need a recording, and the folder of ../shared/data that they are tested with.
-RECORDED = {"drive.yaml": "kitti_drive_lite108"}
+RECORDED = {
+    "drive.yaml": "kitti_drive_lite108",
+    "label_propagation_drive.yaml": "kitti_drive_lite108",
+}
+
+#: What a test leaves out of a graph that has more time than it.
+SHORTER = {
+    "label_propagation_drive.yaml": [
+        "stages.segment_rgb.options.tiles=[{aspect: 1.0, count: 1}]",
+        "stages.segment_rgb.options.gammas=[1.0]",
+    ]
+}
 
 #: Graphs that need a flight; a simulated one is made for them.
-FLOWN = ("uav.yaml", "uav_truth.yaml")
+FLOWN = (
+    "uav.yaml",
+    "uav_truth.yaml",
+    "label_propagation.yaml",
+    "label_propagation_truth.yaml",
+)
 
 
 def settings(name: str, request: pytest.FixtureRequest) -> list[str]:
@@ -34,7 +50,8 @@ def settings(name: str, request: pytest.FixtureRequest) -> list[str]:
     if name not in RECORDED:
         return []
     shared: Path = request.getfixturevalue("shared")
-    return [f"parameters.recording={shared / 'data' / RECORDED[name]}"]
+    recording = f"parameters.recording={shared / 'data' / RECORDED[name]}"
+    return [recording, *SHORTER.get(name, [])]
 
 
 def named_models(path: Path) -> set[str]:

@@ -1,0 +1,78 @@
+"""The four panels of the paper's Fig 8: a scan's range image, and who labels how much of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.kernels.compiled import as_input
+from stages.kernels.range_image import ranges
+from stages.kernels.render import INK, PAPER, add_legend
+from stages.observed import Observation
+from stages.scan_image import RangeImage
+from stages.taxonomy import load_taxonomy
+from stages.types import Scan
+
+#: Of a panel; a cell becomes two pixels wide and high.
+ROWS, COLUMNS, CELL = 64, 512, 2
+#: Range that is drawn darkest, m.
+FAR_M = 40.0
+CAPTION = 24
+
+
+def range_panels(
+    observation: Observation, labelings: Mapping[str, NDArray[np.uint8] | None]
+) -> NDArray[np.uint8]:
+    """RGB: the range image, and below it one panel for each labeling (n,) by its caption; None is
+    drawn as the caption alone, which says why."""
+    taxonomy = load_taxonomy()
+    image = RangeImage((ROWS, COLUMNS), elevation_of(observation))
+    points = observation.points
+    nearest = image.places(
+        Scan(points, observation.remission, None, observation.shape, observation.sensor)
+    )[0]
+    distance = np.where(nearest >= 0, ranges(as_input(points))[nearest], 0)
+    near = np.clip(distance / FAR_M, 0, 1) ** 0.5
+    colors = cv2.applyColorMap((255 * (1 - near)).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
+    colors[distance <= 0] = 255
+    panels = [_panel("range, near is light", np.ascontiguousarray(colors[..., ::-1]))]
+    seen: set[int] = set()
+    for caption, labels in labelings.items():
+        if labels is None:
+            panels.append(_panel(caption, None))
+            continue
+        ids = np.where(nearest >= 0, labels[nearest], 0)
+        seen |= set(np.unique(ids).tolist())
+        picture = taxonomy.colors[ids]
+        picture[ids == 0] = 235  # a return without a label
+        picture[distance <= 0] = 255
+        panels.append(_panel(caption, picture))
+    shown = sorted(seen - {0})
+    legend = [(taxonomy.names[k], taxonomy.colors[k].tolist()) for k in shown]
+    return add_legend(np.concatenate(panels), [*legend, ("no label", (235, 235, 235))])
+
+
+def elevation_of(observation: Observation) -> tuple[float, float]:
+    """The lowest and the highest elevation of a scan, rad: a sensor's field of view."""
+    if observation.shape is not None and observation.shape[0] == 128:
+        return (-np.pi / 4, np.pi / 4)  # an OS0, whose rows would else be placed by few returns
+    distance = ranges(as_input(observation.points))
+    far = distance > 1.0
+    if not far.any():
+        return (-np.pi / 4, np.pi / 4)
+    elevation = np.arcsin(np.clip(observation.points[far, 2] / distance[far], -1, 1))
+    lowest, highest = np.quantile(elevation, [0.002, 0.998])
+    return (float(lowest) - 0.005, float(highest) + 0.005)
+
+
+def _panel(caption: str, picture: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
+    bar = np.full((CAPTION, COLUMNS * CELL, 3), PAPER, dtype=np.uint8)
+    place = (6, CAPTION - 8)
+    cv2.putText(bar, caption, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+    if picture is None:
+        return bar
+    large = picture.repeat(CELL, axis=0).repeat(CELL, axis=1)
+    return np.concatenate([bar, large])
