@@ -105,6 +105,15 @@ Flight = Annotated[
         "--data", metavar="FILE", help="A flight of 'overflight simulate'.", show_default=False
     ),
 ]
+ScanData = Annotated[
+    Path,
+    typer.Option(
+        "--data",
+        metavar="PATH",
+        help="A flight, a folder of labeled scans, or a mixture (.yaml).",
+        show_default=False,
+    ),
+]
 Width = Annotated[
     float, typer.Option(metavar="X", min=0.1, max=2.0, help="All channels times this.")
 ]
@@ -228,10 +237,12 @@ def segment_rgb(
 
 
 @app.command(
-    epilog="Example: overflight train segment-scan --data city101.mcap --steps 3000 -o out/scan"
+    epilog="Examples: overflight train segment-scan --data city101.mcap --steps 3000 -o out/scan. "
+    "overflight train segment-scan --data mix.yaml --recipe strong --batch 64 --from out/scan -o "
+    "out/retrained (mix.yaml: sources: [{path: city101.mcap, share: 1}, {path: labels, share: 2}])"
 )
 def segment_scan(
-    data: Flight,
+    data: ScanData,
     output: Output = Path("out/segment-scan"),
     steps: Steps = 3000,
     seed: Seed = 0,
@@ -245,16 +256,47 @@ def segment_scan(
             metavar="FILE", help="See 'overflight statistics'.", show_default="the shipped ones"
         ),
     ] = STATISTICS,
+    recipe: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="How scans are varied: plain, strong, across-sensors.",
+            show_default="as flights are learned from",
+        ),
+    ] = None,
+    channels: Annotated[
+        int, typer.Option(min=4, max=5, help="4 leaves the remission out: another LiDAR's differs.")
+    ] = 5,
+    batch: Annotated[
+        int, typer.Option(min=4, help="Parts of scans to a step; gathered where it is above 4.")
+    ] = 4,
     threads: Threads = 1,
     license: License = "Apache-2.0",
     attribution: Attribution = SIMULATED,
+    start: Start = None,
     restart: Restart = False,
 ) -> None:
-    """Train SalsaNext to segment LiDAR scans as range images of 512 x 64."""
+    """Train SalsaNext to segment LiDAR scans as range images of 512 x 64.
+
+    On a simulated flight, or with --recipe on any labeled scans: a sequence of 'overflight
+    propagate', SemanticKITTI, Paris-CARLA-3D, or a mixture of several as a YAML file.
+    """
     _need_torch()
+    from tools.train.scan_training import AT_ONCE, ScanChoices, train_from_points
     from tools.train.segment import train_scan_segmenter
 
+    if batch % AT_ONCE:
+        raise typer.BadParameter(f"{batch} is no multiple of {AT_ONCE}", param_hint="--batch")
+    flights = data.suffix == ".mcap" or (data.is_dir() and any(data.glob("*.mcap")))
+    from_points = recipe is not None or not flights
+    if not from_points and (channels != 5 or batch != AT_ONCE or start is not None):
+        raise typer.BadParameter("--channels, --batch and --from need a --recipe as well")
     words = [f"--width={width:g}", f"--sensor={sensor}"]
+    if from_points:
+        recipe = recipe or "plain"
+        words += [f"--recipe={recipe}", f"--channels={channels}", f"--batch={batch}"]
+    if start is not None:
+        words += ["--from", start.name]
     order = _order(
         "segment-scan",
         data,
@@ -267,9 +309,14 @@ def segment_scan(
         words,
         restart=restart,
     )
-    _carry_out(
-        order, lambda console: train_scan_segmenter(order, width, statistics, sensor, console)
-    )
+    if not from_points:
+        _carry_out(
+            order, lambda console: train_scan_segmenter(order, width, statistics, sensor, console)
+        )
+        return
+    order = replace(order, start=start, gathered=batch // AT_ONCE)
+    choices = ScanChoices(width, sensor, statistics, recipe or "plain", channels)
+    _carry_out(order, lambda console: train_from_points(order, choices, console))
 
 
 def _order(

@@ -88,11 +88,11 @@ class Training:
             raise Interrupted(self.step)
         return self.averaged
 
-    def _batches(self) -> Generator[dict[str, Tensor], None, None]:
+    def _batches(self) -> Generator[list[dict[str, Tensor]], None, None]:
         """The remaining batches; the next one is made while this one is learned from."""
         steps = range(self.step, self.settings.steps)
         with ThreadPoolExecutor(1, "batches") as pool:
-            ahead: list[Future[dict[str, Tensor]]] = []
+            ahead: list[Future[list[dict[str, Tensor]]]] = []
             for step in steps:
                 ahead.append(pool.submit(self._batch, step))
                 if len(ahead) > 2:
@@ -100,29 +100,35 @@ class Training:
             for future in ahead:
                 yield future.result()
 
-    def _batch(self, step: int) -> dict[str, Tensor]:
-        return self.task.batch(np.random.default_rng([self.settings.seed, step]))
+    def _batch(self, step: int) -> list[dict[str, Tensor]]:
+        random = np.random.default_rng([self.settings.seed, step])
+        return [self.task.batch(random) for _ in range(self.settings.gathered)]
 
-    def _learn(self, batch: dict[str, Tensor]) -> dict[str, float]:
+    def _learn(self, batches: list[dict[str, Tensor]]) -> dict[str, float]:
+        """One step; the gradients of all the batches are added up, each batch by itself."""
         torch.manual_seed(self.settings.seed * 1_000_003 + self.step)  # dropout
         for group in self.optimizer.param_groups:
             group["lr"] = self.settings.rate_at(self.step)
-        picture = batch["input"].contiguous(memory_format=torch.channels_last)
-        with torch.autocast("cpu", torch.bfloat16):
-            outputs = self.network(picture)
-        parts = self.task.loss(outputs, batch)
-        total = torch.stack(list(parts.values())).sum()
-        if not torch.isfinite(total):
-            raise DataError(
-                f"the loss is {float(total.detach())} at step {self.step}: the rate "
-                f"{self.settings.rate} is too high, or the data holds numbers that are none"
-            )
         self.optimizer.zero_grad(set_to_none=True)
-        total.backward()
+        told: dict[str, float] = {}
+        for batch in batches:
+            picture = batch["input"].contiguous(memory_format=torch.channels_last)
+            with torch.autocast("cpu", torch.bfloat16):
+                outputs = self.network(picture)
+            parts = self.task.loss(outputs, batch)
+            total = torch.stack(list(parts.values())).sum()
+            if not torch.isfinite(total):
+                raise DataError(
+                    f"the loss is {float(total.detach())} at step {self.step}: the rate "
+                    f"{self.settings.rate} is too high, or the data holds numbers that are none"
+                )
+            (total / len(batches)).backward()
+            for name, part in parts.items():
+                told[name] = told.get(name, 0.0) + float(part.detach()) / len(batches)
         nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.largest_gradient)
         self.optimizer.step()
         self._average()
-        return {name: float(part.detach()) for name, part in parts.items()}
+        return told
 
     @torch.no_grad()
     def _average(self) -> None:

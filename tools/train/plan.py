@@ -38,6 +38,7 @@ class Order:
     restart: bool
     command: str  #: the words that ask for it again
     start: Path | None = None  #: the folder of a training whose weights this one begins with
+    gathered: int = 1  #: batches to a step, see `Settings`
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +69,11 @@ def carry_out(plan: Plan, order: Order, console: Console) -> Path:
         begin_with(plan.task.network, order.start / CHECKPOINT)
         facts["start"] = order.start.name
         rate *= FINE_TUNING
+    if order.gathered > 1:
+        facts["gathered"] = str(order.gathered)
     settings = Settings(
         steps=order.steps,
+        gathered=order.gathered,
         seed=order.seed,
         rate=rate,
         # Over a seventh of a short training: a longer memory still holds how it began.

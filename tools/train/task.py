@@ -37,6 +37,7 @@ class Settings:
     largest_gradient: float = 10.0
     averaging: float = AVERAGING  #: of the weights (EMA), towards their past
     threads: int = 1
+    gathered: int = 1  #: batches whose gradients one step takes: a larger batch in little memory
     facts: Mapping[str, Any] = field(
         default_factory=dict
     )  #: what else a checkpoint must agree with

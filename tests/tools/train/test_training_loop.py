@@ -112,3 +112,20 @@ def test_the_rate_rises_and_falls_to_nothing() -> None:
     assert rates[0] < rates[3] == pytest.approx(0.02)
     assert rates[4:] == sorted(rates[4:], reverse=True)
     assert rates[100] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_step_gathers_the_gradients_of_several_batches(tmp_path: Path) -> None:
+    class Counting(Line):
+        drawn = 0
+
+        def batch(self, random: np.random.Generator) -> dict[str, torch.Tensor]:
+            self.drawn += 1
+            return super().batch(random)
+
+    one, four = Counting(), Counting()
+    Training(one, settings(steps=5), tmp_path / "one").run(QUIET)
+    Training(four, settings(steps=5, gathered=4), tmp_path / "four").run(QUIET)
+    assert (one.drawn, four.drawn) == (5, 20)
+    assert any(
+        (a != b).any() for a, b in zip(weights(one.network), weights(four.network), strict=True)
+    )
