@@ -16,7 +16,7 @@ from __future__ import annotations
 import enum
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from math import prod
 from typing import Any
 
@@ -33,6 +33,8 @@ ALIGN = 64
 MAX_DEPTH = 32
 
 Bytes = NDArray[np.uint8]
+
+_to_json = json.JSONEncoder(separators=(",", ":")).encode
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,20 +53,20 @@ class Encoded:
 
     def tobytes(self) -> bytes:
         """The header and, after it, the buffers."""
-        start = len(self.header)
-        whole = np.zeros(start + self.size, np.uint8)
-        whole[:start] = np.frombuffer(self.header, np.uint8)
+        parts: list[bytes | memoryview] = [self.header]
+        end = 0
         for offset, array in self.buffers:
             flat = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-            whole[start + offset : start + offset + array.nbytes] = flat
-        return whole.tobytes()
+            parts += [bytes(offset - end), flat.data]
+            end = offset + array.nbytes
+        return b"".join(parts)
 
 
 def encode(value: Any, schema: PayloadSchema, max_bytes: int) -> Encoded:
     """Make a payload ready to travel. Raises WireError, which names what cannot."""
     writer = _Writer(schema)
     try:
-        header = json.dumps(writer.node(value, 0), separators=(",", ":")).encode()
+        header = _to_json(writer.node(value, 0)).encode()
     except ValueError as error:
         raise WireError("malformed", f"the payload cannot travel: {error}") from None
     if writer.buffers:  # so that those which travel right behind it are aligned, too
@@ -133,7 +135,7 @@ class _Writer:
         return [
             "c",
             name,
-            [self.node(getattr(value, part.name), depth) for part in fields(value) if part.init],
+            [self.node(getattr(value, field), depth) for field in self._schema.fields[name]],
         ]
 
     def _dtype(self, array: NDArray[Any]) -> str:
@@ -157,8 +159,10 @@ class _Reader:
 
     def __init__(self, schema: PayloadSchema, data: Bytes) -> None:
         self._schema = schema
-        self._data = data.view()
-        self._data.flags.writeable = False
+        self._data = data
+        if data.flags.writeable:
+            self._data = data.view()
+            self._data.flags.writeable = False
         self._used = 0  #: offset up to which the bytes belong to values already read
 
     def value(self, node: Any, depth: int) -> Any:
@@ -189,11 +193,10 @@ class _Reader:
                 return kind[member]
             case ["c", str(name), list(values)]:
                 kind = self._class(name)
-                if not is_dataclass(kind):
+                if name not in self._schema.fields:
                     raise ValueError(f"{name} is no dataclass")
-                names = [part.name for part in fields(kind) if part.init]
                 given = [self.value(item, depth) for item in values]
-                return kind(**dict(zip(names, given, strict=True)))
+                return kind(**dict(zip(self._schema.fields[name], given, strict=True)))
         raise ValueError(f"an unknown value {str(node[:1])[:40]}")
 
     def _class(self, name: str) -> type:

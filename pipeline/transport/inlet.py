@@ -16,7 +16,7 @@ from pipeline.transport.channel import Arrival, Channel, ChannelStatistics, Refu
 from pipeline.transport.codec import HEADER_BYTES, Bytes, decode
 from pipeline.transport.envelope import Envelope, Kind, Place, Slot, unpack
 from pipeline.transport.numbering import Numbering
-from pipeline.transport.ring import RingReader
+from pipeline.transport.ring import Reading, RingReader
 from pipeline.transport.shared_files import FOLDER
 
 
@@ -47,7 +47,8 @@ class Inlet:
             self._refused[error.reason] += 1
             self._last_refusal = f"{self._channel.key}: {error}"
             return
-        self._on_arrival(arrival)
+        if arrival is not None:
+            self._on_arrival(arrival)
 
     def statistics(self) -> ChannelStatistics:
         return ChannelStatistics(
@@ -62,22 +63,17 @@ class Inlet:
     def close(self) -> None:
         self._ring.close()
 
-    def _arrival(self, head: bytes, size: int, body: Callable[[], bytes]) -> Arrival:
+    def _arrival(self, head: bytes, size: int, body: Callable[[], bytes]) -> Arrival | None:
         envelope = unpack(head)
         self._check(envelope, size)
+        slot = envelope.place.slot
+        reading = None if slot is None else self._reading(slot)
+        if isinstance(reading, Reading) and reading.withdrawn:
+            return None  # its number goes to the next message
         is_message = envelope.kind is Kind.MESSAGE
         count = self._numbering.message if is_message else self._numbering.news
         self._untold += count(envelope.epoch, envelope.number, time.monotonic_ns())
-        payload = None
-        if is_message:
-            try:
-                payload = self._payload(envelope.place, body())
-            except WireError:
-                self._unreadable += 1
-                self._untold += 1
-                raise
-            self._received += 1
-            self._bytes += envelope.place.header + envelope.place.size
+        payload = self._payload(envelope.place, reading, body) if is_message else None
         lost, self._untold = self._untold, 0
         return Arrival(envelope, payload, lost)
 
@@ -99,21 +95,31 @@ class Inlet:
                 f"{place.header} + {max(place.size, place.stored)} bytes; at most {HEADER_BYTES} + "
                 f"{channel.max_bytes} are taken (max_bytes of the edge)",
             )
-        beside = place.header + (0 if place.slot is not None else place.stored)
+        beside = place.header + place.stored  # nothing where there is a slot, which has it all
         if size != beside or (place.stored != place.size and not place.zstd):
             raise WireError(Refused.MALFORMED, f"{size} bytes came of {beside}; cut short?")
 
-    def _payload(self, place: Place, body: bytes) -> Any:
-        if len(body) < place.header:
-            raise WireError(Refused.MALFORMED, f"{len(body)} bytes came; cut short?")
-        header = body[: place.header]
-        if place.slot is not None:
-            data = self._from_ring(place.slot, place.size)
-        elif place.zstd:
-            data = _decompressed(body[place.header :], place.size)
-        else:
-            data = np.frombuffer(body, np.uint8)[place.header :]
-        payload = decode(header, data, self._channel.schema)
+    def _payload(
+        self, place: Place, reading: Reading | WireError | None, body: Callable[[], bytes]
+    ) -> Any:
+        """The payload of a message that is counted already: lost where it cannot be read."""
+        try:
+            if isinstance(reading, WireError):
+                raise reading
+            if reading is not None:
+                header, data = reading.header, reading.data
+            else:
+                header, data = _beside(place, body())
+            payload = self._restored(decode(header, data, self._channel.schema))
+        except WireError:
+            self._unreadable += 1
+            self._untold += 1
+            raise
+        self._received += 1
+        self._bytes += len(header) + len(data)
+        return payload
+
+    def _restored(self, payload: Any) -> Any:
         if self._channel.compressor is None:
             return payload
         try:
@@ -121,18 +127,31 @@ class Inlet:
         except ValueError as error:
             raise WireError(Refused.MALFORMED, f"cannot be decompressed: {error}") from None
 
-    def _from_ring(self, slot: Slot, size: int) -> Bytes:
+    def _reading(self, slot: Slot) -> Reading | WireError:
+        """What lies in a slot, or why it cannot be read, which is told after its number counts."""
         try:
-            data = self._ring.read(slot, size)
+            reading = self._ring.read(slot)
         except (OSError, ValueError) as error:
-            raise WireError(Refused.MALFORMED, f"no such shared memory: {error}") from None
-        if data is None:
-            raise WireError(
+            return WireError(Refused.MALFORMED, f"no such shared memory: {error}")
+        if reading is None:
+            return WireError(
                 Refused.GONE,
                 f"{slot.file} slot {slot.at} holds a newer message; read faster, or give the "
                 "edge more slots",
             )
-        return data
+        if len(reading.data) > self._channel.max_bytes:
+            return WireError(Refused.OVERSIZED, f"{len(reading.data)} bytes in {slot.file}")
+        return reading
+
+
+def _beside(place: Place, body: bytes) -> tuple[bytes, Bytes]:
+    """The header and the buffers of a payload that came with its envelope."""
+    if len(body) != place.header + place.stored:
+        raise WireError(Refused.MALFORMED, f"{len(body)} bytes came; cut short?")
+    header = body[: place.header]
+    if place.zstd:
+        return header, _decompressed(body[place.header :], place.size)
+    return header, np.frombuffer(body, np.uint8)[place.header :]
 
 
 def _decompressed(data: bytes, size: int) -> Bytes:

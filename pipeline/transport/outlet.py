@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import zstandard
 from pipeline.errors import WireError
 from pipeline.transport.channel import Channel, ChannelStatistics
 from pipeline.transport.codec import Encoded, encode
-from pipeline.transport.envelope import NO_BOUND, Envelope, Kind, Place, Slot, pack
+from pipeline.transport.envelope import NO_BOUND, Envelope, Kind, Place, pack
 from pipeline.transport.ring import RingWriter
 from pipeline.transport.shared_files import FOLDER
 
@@ -37,33 +36,33 @@ class Outlet:
         self.channel = channel
         self._send = send
         self._epoch = epoch
+        self._schema = channel.schema.hash
         self._ring = RingWriter(run, slots=channel.slots, budget=channel.ring_bytes, folder=folder)
         self._lock = threading.Lock()
-        self._news = Envelope(Kind.HELLO, channel.port, NO_BOUND)
+        self._large = False  #: the last payload was, so a slot is ready for the next
+        self._last = Envelope(Kind.HELLO, channel.port, NO_BOUND)
         self._sent_at = time.monotonic()
         self._published = self._bytes = self._sent_whole = 0
 
     def publish(self, envelope: Envelope, payload: Any) -> None:
         """Send a message or news. Raises WireError where the payload cannot travel."""
-        encoded = self._encode(payload) if envelope.kind is Kind.MESSAGE else None
         with self._lock:
             self._sent_at = time.monotonic()
-            if encoded is None:
-                self._news = envelope
+            if envelope.kind is Kind.MESSAGE:
+                self._message(envelope, payload)
+            else:
                 self._send(self._stamped(envelope, Place()), b"")
-                return
-            self._news = Envelope(Kind.BOUND, envelope.port, envelope.bound)
-            if not (self.channel.local and self._by_ring(envelope, encoded)):
-                self._whole(envelope, encoded)
-            self._published += 1
-            self._bytes += encoded.size + len(encoded.header)
+            self._last = envelope
 
     def repeat(self, now: float | None = None) -> None:
         """Send the last news again: at once, or with `now` only after a silence."""
         with self._lock:
             if now is None or now - self._sent_at >= REPEAT_S:
                 self._sent_at = time.monotonic()
-                self._send(self._stamped(self._news, Place()), b"")
+                last = self._last
+                if last.kind is Kind.MESSAGE:  # of a message only the bound after it is news
+                    last = Envelope(Kind.BOUND, last.port, last.bound)
+                self._send(self._stamped(last, Place()), b"")
 
     def statistics(self) -> ChannelStatistics:
         return ChannelStatistics(
@@ -84,19 +83,32 @@ class Outlet:
         except WireError as error:
             raise WireError(error.reason, f"{channel.port}: {error}") from None
 
-    def _by_ring(self, envelope: Envelope, encoded: Encoded) -> bool:
-        if encoded.size <= INLINE_BYTES:
-            return False
-        size = encoded.size
-
-        def announce(slot: Slot) -> None:
-            place = Place(len(encoded.header), size, size, slot)
-            self._send(self._stamped(envelope, place), encoded.header)
-
-        if self._ring.write(size, encoded.write_into, announce):
-            return True
-        self._sent_whole += 1
-        return False
+    def _message(self, envelope: Envelope, payload: Any) -> None:
+        # A stream whose last payload was large has a slot for the next: told of it at once, its
+        # readers wake while the payload is made ready.
+        slot = self._ring.claim() if self._large else None
+        try:
+            if slot is not None:
+                self._send(self._stamped(envelope, Place(slot=slot)), b"")
+            encoded = self._encode(payload)
+        except BaseException:
+            if slot is not None:
+                self._ring.withdraw()
+            raise
+        needed = len(encoded.header) + encoded.size
+        self._large = self.channel.local and needed > INLINE_BYTES
+        if slot is not None and needed > self._ring.room():
+            self._ring.withdraw()
+            slot = None
+        if slot is None and self._large and (slot := self._ring.claim(needed)) is not None:
+            self._send(self._stamped(envelope, Place(slot=slot)), b"")
+        if slot is not None:
+            self._ring.fill(encoded.header, encoded.size, encoded.write_into)
+        else:
+            self._sent_whole += self._large
+            self._whole(envelope, encoded)
+        self._published += 1
+        self._bytes += needed
 
     def _whole(self, envelope: Envelope, encoded: Encoded) -> None:
         header, size, level = len(encoded.header), encoded.size, self.channel.zstd
@@ -110,11 +122,7 @@ class Outlet:
 
     def _stamped(self, envelope: Envelope, place: Place) -> bytes:
         return pack(
-            replace(
-                envelope,
-                schema=self.channel.schema.hash,
-                epoch=self._epoch,
-                number=self._published,
-                place=place,
+            envelope._replace(
+                schema=self._schema, epoch=self._epoch, number=self._published, place=place
             )
         )

@@ -7,9 +7,9 @@ a reader that is killed holds nothing, and a writer cannot overwrite what is bei
 that is so slow that its slot was written anew before it got there sees another generation: that
 message is lost, and counted.
 
-The file is one page of header (the generation of each slot, 8 bytes, and the bytes written) and
-then the slots, page-aligned. A payload larger than the slots, or no free slot, makes a new file;
-the old one is removed and lives until its last reader lets go.
+The file is one page of `WORDS` for each slot, and then the slots, page-aligned. A payload larger
+than the slots, or no free slot, makes a new file; the old one is removed and lives until its last
+reader lets go.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import weakref
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -36,8 +36,10 @@ from pipeline.transport.codec import Bytes
 from pipeline.transport.envelope import Slot
 
 PAGE = mmap.PAGESIZE
-#: Slots of one file: what fits into the header's page, 16 bytes each.
-MAX_SLOTS = 64
+#: Words of 64 bits per slot: generation, state, bytes of its header, bytes of its buffers.
+WORDS = 4
+MAX_SLOTS = 64  #: of one file
+_FILLING, _FILLED, _WITHDRAWN = range(3)
 #: How long a reader waits for a writer that has announced a slot and is still filling it.
 FILL_S = 0.2
 _POLL_S = 20e-6
@@ -67,30 +69,51 @@ class RingWriter:
         self._file: _File | None = None
         self._generation = 0
         self._next = 0
+        self._claimed = 0
 
-    def write(
-        self, size: int, fill: Callable[[Bytes], None], announce: Callable[[Slot], None]
-    ) -> bool:
-        """Fill a free slot with `size` bytes; False where none is free and none can be made.
+    def claim(self, size: int = 0) -> Slot | None:
+        """A slot that nobody reads, for at least `size` bytes of header and buffers (0: of the file
+        there is); None where none is free and none can be made. Ends with `fill` or `withdraw`.
 
-        `announce` is called with the slot before it is filled, so that the news travels meanwhile.
+        A reader that is told of it now waits until then: the news may travel meanwhile.
         """
         index = self._free(size)
         if index is None:
-            return False
+            return None
         file = self._file
         assert file is not None
         self._next = (index + 1) % file.slots
         self._generation += 1
+        word = WORDS * index
+        file.words[word + 1] = _FILLING
+        file.words[word] = self._generation
+        self._claimed = index
+        return Slot(file.name, index, self._generation)
+
+    def room(self) -> int:
+        """Bytes of the slot that is claimed."""
+        return 0 if self._file is None else self._file.slot_bytes
+
+    def fill(self, header: bytes, size: int, write: Callable[[Bytes], None]) -> None:
+        """Write a payload into the slot that is claimed: `write` its `size` bytes of buffers."""
+        file, index = self._file, self._claimed
+        assert file is not None
+        word, start = WORDS * index, len(header)
         try:
-            file.words[2 * index + 1] = 0
-            file.words[2 * index] = self._generation
-            announce(Slot(file.name, index, self._generation))
-            fill(file.slot(index, size))
-            file.words[2 * index + 1] = size
+            slot = file.slot(index)
+            slot[:start] = np.frombuffer(header, np.uint8)
+            write(slot[start : start + size])
+            file.words[word + 2], file.words[word + 3] = start, size
+            file.words[word + 1] = _FILLED
         finally:
             _lock(file.descriptor, fcntl.F_UNLCK, index)
-        return True
+
+    def withdraw(self) -> None:
+        """Give back the slot that is claimed; who was told of it is told that nothing came."""
+        file, index = self._file, self._claimed
+        assert file is not None
+        file.words[WORDS * index + 1] = _WITHDRAWN
+        _lock(file.descriptor, fcntl.F_UNLCK, index)
 
     def close(self) -> None:
         """Remove the file; readers keep what they hold."""
@@ -112,6 +135,8 @@ class RingWriter:
     def _free(self, size: int) -> int | None:
         """A slot that nobody reads, locked; makes a new file where there is none."""
         file = self._file
+        if file is None and size == 0:
+            return None
         if file is not None and size <= file.slot_bytes:
             for step in range(file.slots):
                 index = (self._next + step) % file.slots
@@ -148,9 +173,9 @@ class _File:
         self.words = memoryview(self._memory)[:PAGE].cast("Q")
         self.words[-1] = slot_bytes
 
-    def slot(self, index: int, size: int) -> Bytes:
+    def slot(self, index: int) -> Bytes:
         start = PAGE + index * self.slot_bytes
-        return self._bytes[start : start + size]
+        return self._bytes[start : start + self.slot_bytes]
 
     def close(self) -> None:
         self._path.unlink(missing_ok=True)
@@ -160,6 +185,14 @@ class _File:
         os.close(self.descriptor)
 
 
+class Reading(NamedTuple):
+    """What a reader finds in a slot."""
+
+    header: bytes = b""  #: the codec's
+    data: Bytes = np.zeros(0, np.uint8)  #: holds the slot
+    withdrawn: bool = False  #: its writer thought better of it: there is no such message
+
+
 class RingReader:
     """A reading end, of whatever files its writer makes. Not thread-safe."""
 
@@ -167,8 +200,8 @@ class RingReader:
         self._folder = folder
         self._view: _View | None = None
 
-    def read(self, slot: Slot, size: int) -> Bytes | None:
-        """The bytes of a slot, held as long as an array over them lives; None where they are gone.
+    def read(self, slot: Slot) -> Reading | None:
+        """What lies in a slot, held as long as an array over it lives; None where it is gone.
 
         Raises ValueError or OSError for a slot that cannot be.
         """
@@ -180,7 +213,7 @@ class RingReader:
                 return None  # its writer has gone on to another file, or away
             self.close()
             self._view = view
-        return view.hold(slot, size)
+        return view.hold(slot)
 
     def close(self) -> None:
         """Let the file go; what was handed out stays valid."""
@@ -203,24 +236,30 @@ class _View:
         # The last array over a slot may die on any thread, also (reentrant) in the middle of ours.
         self._lock = threading.RLock()
 
-    def hold(self, slot: Slot, size: int) -> Bytes | None:
-        start = PAGE + slot.at * self._slot_bytes
-        if slot.at >= MAX_SLOTS or size > self._slot_bytes or start + size > len(self._memory):
-            raise ValueError(f"slot {slot.at} of {size} bytes lies outside {self.name}")
+    def hold(self, slot: Slot) -> Reading | None:
+        at = slot.at
+        start = PAGE + at * self._slot_bytes
+        if at >= MAX_SLOTS or start + self._slot_bytes > len(self._memory):
+            raise ValueError(f"slot {at} lies outside {self.name}")
         if not self._lock_filled(slot):
             return None
-        if self._words[2 * slot.at] != slot.generation or self._words[2 * slot.at + 1] < size:
-            self._release(slot.at)
-            return None
-        data = np.frombuffer(self._memory, np.uint8, size, start)
-        weakref.finalize(data, self._release, slot.at).atexit = False
-        return data
+        generation, state, header, size = self._words[WORDS * at : WORDS * (at + 1)]
+        fits = header + size <= self._slot_bytes
+        if generation != slot.generation or state != _FILLED or not fits:
+            self._release(at)
+            if not fits:
+                raise ValueError(f"{header} + {size} bytes do not fit slot {at} of {self.name}")
+            withdrawn = generation == slot.generation and state == _WITHDRAWN
+            return Reading(withdrawn=True) if withdrawn else None
+        data = np.frombuffer(self._memory, np.uint8, header + size, start)
+        weakref.finalize(data, self._release, at).atexit = False
+        return Reading(data[:header].tobytes(), data[header:])
 
     def _lock_filled(self, slot: Slot) -> bool:
         """Lock the slot for reading, once its writer has filled it."""
         until = time.monotonic() + FILL_S
         while not self._try_lock(slot.at):
-            if time.monotonic() > until or self._words[2 * slot.at] != slot.generation:
+            if time.monotonic() > until or self._words[WORDS * slot.at] != slot.generation:
                 return False
             time.sleep(_POLL_S)
         return True

@@ -24,6 +24,7 @@ class PayloadSchema:
     """The classes of one stream by their names, ``module:Class``."""
 
     classes: Mapping[str, type]
+    fields: Mapping[str, tuple[str, ...]]  #: what the dataclasses among them are made of
     hash: int  #: 64 bits over names, fields and annotations; equal where both ends agree
 
     @classmethod
@@ -49,7 +50,12 @@ class PayloadSchema:
                 if class_name(inner) not in found
             )
         ordered = {name: found[name] for name in sorted(found)}
-        return cls(MappingProxyType(ordered), _hash(ordered))
+        parts = {
+            name: tuple(field.name for field in fields(kind) if field.init)
+            for name, kind in ordered.items()
+            if is_dataclass(kind)
+        }
+        return cls(MappingProxyType(ordered), MappingProxyType(parts), _hash(ordered))
 
     def __str__(self) -> str:
         return f"{', '.join(self.classes) or 'plain values'} ({self.hash:016x})"

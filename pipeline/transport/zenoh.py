@@ -62,6 +62,17 @@ def free_endpoint(host: str = "127.0.0.1") -> str:
         return f"tcp/{host}:{probe.getsockname()[1]}"
 
 
+def open_session(options: LinkOptions) -> zenoh.Session:
+    """A bare session with this project's settings. Raises TransportError."""
+    try:
+        return zenoh.open(_config(options))
+    except zenoh.ZError as error:
+        raise TransportError(
+            f"no connection opens, listening on {_listed(options.listen)} and connecting to "
+            f"{_listed(options.connect)}: {error}; check the endpoints and credentials"
+        ) from None
+
+
 class Link:
     """One process's session; a `Transport`. Use it in a ``with`` block.
 
@@ -79,13 +90,7 @@ class Link:
         self._subscribers: list[zenoh.Subscriber[Any]] = []
         self._threads: list[threading.Thread] = []
         self._over = threading.Event()
-        try:
-            self._session = zenoh.open(_config(options))
-        except zenoh.ZError as error:
-            raise TransportError(
-                f"no connection opens, listening on {_listed(options.listen)} and connecting to "
-                f"{_listed(options.connect)}: {error}; check the endpoints and credentials"
-            ) from None
+        self._session = open_session(options)
         self._start("transport", self._repeat_news)
 
     def advertise(self, channel: Channel) -> None:

@@ -27,6 +27,7 @@ NAMES = (
     "plan",
     "trace",
     "command",
+    "transport",
 )
 HEAD = "| benchmark | figure | goal | measured | beside it, same run | ratio | met |"
 

@@ -19,11 +19,13 @@ def say(*words: object) -> None:
 def main(role: str, folder: str, file: str, at: str, generation: str) -> None:
     if role == "write":
         ring = RingWriter("killed", slots=2, budget=1 << 20, folder=Path(folder))
-        ring.write(100, lambda target: target.fill(7), lambda slot: say(*slot))
+        say(*(ring.claim(100) or ()))
+        ring.fill(b"", 100, lambda target: target.fill(7))
+        say("filled")
     else:
         reader = RingReader(Path(folder))
-        data = reader.read(Slot(file, int(at), int(generation)), 100)
-        say("gone" if data is None else int(np.sum(data)))
+        reading = reader.read(Slot(file, int(at), int(generation)))
+        say("gone" if reading is None else int(np.sum(reading.data)))
     sys.stdin.read()
 
 

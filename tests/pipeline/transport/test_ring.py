@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import struct
 import subprocess
 import sys
 import threading
@@ -18,16 +19,22 @@ from hypothesis import strategies as st
 
 from pipeline.transport.codec import Bytes
 from pipeline.transport.envelope import Slot
-from pipeline.transport.ring import MAX_SLOTS, PAGE, RingReader, RingWriter
+from pipeline.transport.ring import MAX_SLOTS, PAGE, Reading, RingReader, RingWriter
 from pipeline.transport.shared_files import sweep
 
 HERE = Path(__file__).parent
 
 
 def write(ring: RingWriter, size: int, value: int) -> Slot | None:
-    slots: list[Slot] = []
-    done = ring.write(size, lambda target: target.fill(value), slots.append)
-    return slots[0] if done else None
+    slot = ring.claim(size)
+    if slot is not None:
+        ring.fill(b"", size, lambda target: target.fill(value))
+    return slot
+
+
+def read(reader: RingReader, slot: Slot | None) -> Bytes | None:
+    reading = reader.read(must(slot))
+    return None if reading is None else reading.data
 
 
 def must(slot: Slot | None) -> Slot:
@@ -50,7 +57,7 @@ def test_a_payload_is_read_as_it_was_written_and_only_to_read(
     ring: RingWriter, reader: RingReader
 ) -> None:
     slot = must(write(ring, 1000, 7))
-    data = reader.read(slot, 1000)
+    data = read(reader, slot)
     assert data is not None
     assert data.tolist() == [7] * 1000
     assert not data.flags.writeable
@@ -59,7 +66,7 @@ def test_a_payload_is_read_as_it_was_written_and_only_to_read(
 
 
 def test_what_a_reader_holds_is_not_overwritten(ring: RingWriter, reader: RingReader) -> None:
-    held = reader.read(must(write(ring, 100, 1)), 100)
+    held = read(reader, write(ring, 100, 1))
     for value in range(2, 40):
         write(ring, 100, value)
     assert held is not None
@@ -70,7 +77,7 @@ def test_a_view_of_a_payload_holds_its_slot_and_its_end_frees_it(
     ring: RingWriter, reader: RingReader
 ) -> None:
     slot = must(write(ring, 100, 1))
-    data = reader.read(slot, 100)
+    data = read(reader, slot)
     assert data is not None
     part = data[10:20].view(np.uint16)
     del data
@@ -83,7 +90,7 @@ def test_a_slot_that_was_written_anew_is_gone(ring: RingWriter, reader: RingRead
     first = must(write(ring, 100, 1))
     for value in range(2):
         write(ring, 100, value)
-    assert reader.read(first, 100) is None
+    assert read(reader, first) is None
 
 
 def test_where_all_slots_are_held_the_ring_grows_to_its_budget_and_then_refuses(
@@ -93,7 +100,7 @@ def test_where_all_slots_are_held_the_ring_grows_to_its_budget_and_then_refuses(
     names = set()
     while (slot := write(ring, PAGE, len(held))) is not None:
         names.add(slot.file)
-        held.append(reader.read(slot, PAGE))
+        held.append(read(reader, slot))
         assert len(held) < 100
     assert [int(data[0]) for data in held if data is not None] == list(range(len(held)))
     assert len(names) == 4  # 2, 4, 8, 16 slots
@@ -106,11 +113,11 @@ def test_a_payload_larger_than_the_slots_makes_a_new_file_and_removes_the_old(
     ring: RingWriter, reader: RingReader, tmp_path: Path
 ) -> None:
     small = must(write(ring, 10, 1))
-    held = reader.read(small, 10)
+    held = read(reader, small)
     large = must(write(ring, 3 * PAGE, 2))
     assert large.file != small.file
     assert [path.name for path in tmp_path.iterdir()] == [large.file]
-    data = reader.read(large, 3 * PAGE)
+    data = read(reader, large)
     assert data is not None
     assert data.sum() == 2 * 3 * PAGE
     assert held is not None
@@ -129,61 +136,84 @@ def test_without_room_for_a_file_it_is_refused(tmp_path: Path) -> None:
         assert write(ring, 1 << 50, 1) is None
 
 
-def test_a_payload_that_is_announced_is_waited_for(ring: RingWriter, reader: RingReader) -> None:
-    read: list[Bytes | None] = []
-    announced = threading.Event()
-    threads: list[threading.Thread] = []
+def test_a_slot_that_is_claimed_is_waited_for_until_it_is_filled(
+    ring: RingWriter, reader: RingReader
+) -> None:
+    slot = must(ring.claim(100))
+    found: list[Reading | None] = []
+    thread = threading.Thread(target=lambda: found.append(reader.read(slot)))
+    thread.start()
+    ring.fill(b"header", 100, lambda target: target.fill(9))
+    thread.join()
+    assert found[0] is not None
+    assert found[0].header == b"header"
+    assert found[0].data.tolist() == [9] * 100
 
-    def announce(slot: Slot) -> None:
-        def take() -> None:
-            announced.set()
-            read.append(reader.read(slot, 100))
 
-        threads.append(threading.Thread(target=take))
-        threads[0].start()
-
-    def fill(target: Bytes) -> None:
-        announced.wait()
-        target.fill(9)
-
-    ring.write(100, fill, announce)
-    threads[0].join()
-    assert read[0] is not None
-    assert set(read[0].tolist()) == {9}
+def test_a_slot_that_is_withdrawn_says_so_and_is_free_again(
+    ring: RingWriter, reader: RingReader
+) -> None:
+    slot = must(ring.claim(100))
+    ring.withdraw()
+    reading = reader.read(slot)
+    assert reading is not None
+    assert reading.withdrawn
+    assert [must(write(ring, 100, n)).at for n in range(3)] == [1, 0, 1]
 
 
 def test_a_payload_whose_writer_failed_is_gone(ring: RingWriter, reader: RingReader) -> None:
-    slots: list[Slot] = []
-
     def fail(target: Bytes) -> None:
         raise ZeroDivisionError
 
+    slot = must(ring.claim(100))
     with pytest.raises(ZeroDivisionError):
-        ring.write(100, fail, slots.append)
-    assert reader.read(slots[0], 100) is None
+        ring.fill(b"", 100, fail)
+    assert reader.read(slot) is None
     assert write(ring, 100, 1) is not None
 
 
-@pytest.mark.parametrize(
-    ("at", "size"), [(MAX_SLOTS, 10), (2, 10), (0, PAGE + 1), (1 << 31, 1), (0, 1 << 60)]
-)
+def test_a_slot_that_is_claimed_without_a_size_is_of_the_file_there_is(
+    ring: RingWriter, reader: RingReader
+) -> None:
+    assert ring.room() == 0
+    assert ring.claim() is None
+    write(ring, 2 * PAGE, 1)
+    assert ring.claim() is not None
+    assert ring.room() == 2 * PAGE
+    ring.withdraw()
+
+
+@pytest.mark.parametrize("at", [MAX_SLOTS, 2, 1 << 31])
 def test_a_slot_that_lies_outside_the_file_is_refused(
-    ring: RingWriter, reader: RingReader, at: int, size: int
+    ring: RingWriter, reader: RingReader, at: int
 ) -> None:
     slot = must(write(ring, 10, 1))
     with pytest.raises(ValueError, match="outside"):
-        reader.read(Slot(slot.file, at, slot.generation), size)
+        reader.read(Slot(slot.file, at, slot.generation))
+
+
+@pytest.mark.parametrize(("header", "size"), [(0, PAGE + 1), (PAGE, 1), (1 << 62, 1 << 62)])
+def test_sizes_that_do_not_fit_their_slot_are_refused(
+    ring: RingWriter, reader: RingReader, tmp_path: Path, header: int, size: int
+) -> None:
+    slot = must(write(ring, 10, 1))
+    with (tmp_path / slot.file).open("r+b") as file:
+        file.seek(16)
+        file.write(struct.pack("<QQ", header, size))
+    with pytest.raises(ValueError, match="do not fit"):
+        reader.read(slot)
+    assert must(write(ring, 10, 2))
 
 
 def test_a_file_that_is_gone_is_no_error(reader: RingReader) -> None:
-    assert reader.read(Slot("overflight-x", 0, 1), 10) is None
+    assert reader.read(Slot("overflight-x", 0, 1)) is None
 
 
 @pytest.mark.parametrize("size", [0, 100])
 def test_a_file_that_is_no_ring_is_refused(reader: RingReader, tmp_path: Path, size: int) -> None:
     (tmp_path / "overflight-x").write_bytes(bytes(size))
     with pytest.raises(ValueError, match=r"empty|no ring"):
-        reader.read(Slot("overflight-x", 0, 1), 10)
+        reader.read(Slot("overflight-x", 0, 1))
 
 
 def test_both_ends_leave_no_file_no_descriptor_and_no_mapping(tmp_path: Path) -> None:
@@ -196,7 +226,7 @@ def test_both_ends_leave_no_file_no_descriptor_and_no_mapping(tmp_path: Path) ->
     for _ in range(10):
         with RingWriter("test", slots=2, budget=1 << 20, folder=tmp_path) as ring:
             reader = RingReader(tmp_path)
-            held = [reader.read(must(write(ring, size, 1)), size) for size in (10, 9000, 20_000)]
+            held = [read(reader, write(ring, size, 1)) for size in (10, 9000, 20_000)]
             reader.close()
         assert all(data is not None and data[0] == 1 for data in held)
         held.clear()
@@ -218,7 +248,7 @@ def test_whatever_is_read_when_it_is_whole_or_gone(
                 sent.append((number, slot))
             elif step == "r" and len(sent) > which:
                 value, slot = sent.pop(-1 - which)
-                if (data := reader.read(slot, 50)) is not None:
+                if (data := read(reader, slot)) is not None:
                     held.append((value, data))
             elif step == "d" and len(held) > which:
                 del held[which]
@@ -259,7 +289,8 @@ def test_the_file_of_a_killed_writer_is_swept_and_what_was_read_stays(tmp_path: 
     with process("write", tmp_path, "", "", "") as child:
         file, at, generation = line(child).split()
         reader = RingReader(tmp_path)
-        data = reader.read(Slot(file, int(at), int(generation)), 100)
+        assert line(child) == "filled"
+        data = read(reader, Slot(file, int(at), int(generation)))
         assert sweep(folder=tmp_path) == []
         child.kill()
         child.wait()
