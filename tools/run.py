@@ -17,9 +17,10 @@ from pipeline.drivers.run import run_graph
 from pipeline.measuring.board import Board
 from pipeline.measuring.expectations import failed, verdicts
 from pipeline.measuring.trace import CAPACITY, Trace
+from pipeline.recording.flight import Flight
 from pipeline.recording.mcap import Compression
 from tools.check import verdict_table
-from tools.load import open_graph
+from tools.recording.flight_graph import GraphFiles, on_flight
 from tools.recording.record import recording
 from tools.validate import print_warnings
 from tools.watching.progress import Progress
@@ -30,6 +31,7 @@ from tools.watching.trace import write_trace
 def run_file(
     path: Path,
     *,
+    flight: Path | None = None,
     settings: Sequence[str] = (),
     overlays: Sequence[Path] = (),
     models: Sequence[Path] = (),
@@ -47,9 +49,12 @@ def run_file(
 ) -> Sequence[str]:
     """Run it, tell of it, and return what failed or is not as the file expects (empty: all well).
 
+    With a `flight` its messages take the place of the sources; where that is `path` itself, the
+    graph is the flight's own.
     Progress and warnings go to stderr; the table, or with `as_json` the report, to stdout.
     """
-    graph, catalog = open_graph(path, settings, overlays, models, out)
+    files = GraphFiles(path, settings, overlays, models, out)
+    graph, catalog = files.open() if flight is None else on_flight(files, Flight(flight))
     if not quiet:
         print_warnings(graph.warnings)
     if report is not None:
@@ -104,12 +109,9 @@ def run_file(
         print_report(result.report, console)
         if judged:
             console.print("\n", verdict_table(judged), sep="")
-        files = [
-            *_written(out, started),
-            *(file for file in (report, trace, record) if file is not None),
-        ]
-        if files:
-            names = ", ".join(dict.fromkeys(map(str, files)))
+        asked = (file for file in (report, trace, record) if file is not None)
+        if written := [*_written(out, started), *asked]:
+            names = ", ".join(dict.fromkeys(map(str, written)))
             console.print(f"Written: {names}", highlight=False, soft_wrap=True)
         if recorded is not None:
             told = f"{trace} has {recorded.recorded - recorded.overwritten} entries"

@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from pipeline.drivers.isolated import IsolatedDevice
-from pipeline.errors import DeviceError
+from pipeline.errors import DeviceError, ModelError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph, GraphDevice
 from pipeline.measuring.profiler import Profiler
@@ -44,10 +44,11 @@ class Devices:
     ) -> None:
         self._stack.close()
 
-    def open(self) -> Mapping[str, str]:
+    def open(self, *, all_may_fail: bool = False) -> Mapping[str, str]:
         """Open and load every device; returns those that do not open, with the reason.
 
-        Raises DeviceError where a stage has no device left, ModelError for a model that is wrong.
+        Raises DeviceError where a stage has no device left, ModelError for a model that is wrong;
+        with `all_may_fail`, as a replay has other outputs for such a stage, neither.
         """
         lost: dict[str, str] = {}
         for name in dict.fromkeys(rung for stage in self._graph.stages for rung in stage.ladder):
@@ -57,7 +58,11 @@ class Devices:
                 self.check(name)
             except DeviceError as error:
                 lost[name] = str(error)
-        for stage in self._graph.stages:
+            except ModelError as error:
+                if not all_may_fail:
+                    raise
+                lost[name] = str(error)
+        for stage in self._graph.stages if not all_may_fail else ():
             if stage.model is not None and not self._models[stage.name]:
                 reasons = "; ".join(f"{rung}: {lost[rung]}" for rung in stage.ladder)
                 raise DeviceError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from statistics import median_low
@@ -123,7 +123,7 @@ def run_graph(
             text = f"does not open: {reason}"
             statistics.event("device_error", name, text, 0)
             scheduler.device_down(name, 0)
-        stages = _open_stages(graph, catalog, stack, statistics)
+        stages = open_stages(graph, catalog, stack, statistics)
         worker = Worker if trace is None else partial(TracedWorker, trace=trace)
         workers = {
             node.name: worker(node, stages[node.name], devices.models(node.name))
@@ -176,12 +176,16 @@ def run_graph(
     return RunResult(report, tuple(statistics.failures), tuple(statistics.events), ended)
 
 
-def _open_stages(
-    graph: Graph, catalog: Catalog, stack: contextlib.ExitStack, statistics: Statistics
+def open_stages(
+    graph: Graph,
+    catalog: Catalog,
+    stack: contextlib.ExitStack,
+    statistics: Statistics,
+    without: Collection[str] = (),
 ) -> dict[str, Stage]:
     """Make and open every stage; each is closed when the stack unwinds, in reverse order."""
     stages: dict[str, Stage] = {}
-    for planned in graph.stages:
+    for planned in (stage for stage in graph.stages if stage.name not in without):
         stage = planned.make()
         if isinstance(stage, ModelStage) and planned.model is not None:
             stage.model = catalog.spec(planned.model)

@@ -10,10 +10,11 @@ from typing import Any
 
 from pipeline.errors import DataError
 from pipeline.message import Message
-from pipeline.recording.codec import PAYLOAD, Codec, Codecs
+from pipeline.recording.codec import PAYLOAD, PAYLOAD_CLASS, Codec, Codecs
 from pipeline.recording.digest import digest_of
 from pipeline.recording.mcap import McapWriter
 from pipeline.scheduling.topology import Port
+from pipeline.transport.schema import class_name
 
 #: Keys of a channel's metadata: the port it holds, and whether payloads come back bit by bit.
 PORT, LOSSLESS = "port", "lossless"
@@ -59,6 +60,7 @@ class Channels:
         exact = digest is not None and digest_of(again.payload) == digest
         metadata = {
             PAYLOAD: type(message.payload).__name__,
+            PAYLOAD_CLASS: class_name(type(message.payload)),
             PORT: str(port),
             LOSSLESS: "true" if exact else "false",
         }

@@ -11,8 +11,8 @@ from typing import Any, Protocol
 
 from pipeline.message import Message
 
-#: The key of a channel's metadata that names the payload type.
-PAYLOAD = "payload"
+#: The keys of a channel's metadata that name the payload type, and the class with its module.
+PAYLOAD, PAYLOAD_CLASS = "payload", "class"
 
 
 @dataclass(frozen=True, slots=True)

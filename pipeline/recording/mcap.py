@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import heapq
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -216,7 +216,7 @@ class McapReader:
             except _UNREADABLE as error:
                 raise self._damaged(error) from error
 
-    def records(self, topics: Collection[str]) -> Iterator[Record]:
+    def records(self, topics: Collection[str]) -> Generator[Record]:
         """The messages of some topics in the order of `received`; of a file that was cut short in
         the order of writing, up to its last whole chunk."""
         if not self.is_whole():

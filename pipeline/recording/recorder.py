@@ -97,6 +97,7 @@ class Recorder:
         self.file = McapWriter(path, compression)  #: the caller may write to it before the run
         self._channels = Channels(self.file, codecs)
         self._inbox: deque[Row | _Kept] = deque()
+        self._hashed: deque[_Kept] = deque()  #: what is hashed only goes first: it frees room soon
         self._came = 0  #: bytes; the driver's
         self._gone = 0  #: bytes; the writer's
         self._peak = 0
@@ -166,7 +167,8 @@ class Recorder:
             return False
         self._came += size
         self._peak = max(self._peak, held)
-        self._inbox.append(_Kept(port, message, size))
+        inbox = self._inbox if port in self._stored else self._hashed
+        inbox.append(_Kept(port, message, size))
         return True
 
     # ------------------------------------------------------------------ the writer
@@ -197,6 +199,7 @@ class Recorder:
     def _drain(self) -> None:
         """Write what is in the buffer now."""
         for _ in range(len(self._inbox)):
+            self._hash()
             item = self._inbox.popleft()
             if not isinstance(item, _Kept):
                 self._rows.append(item)
@@ -208,13 +211,22 @@ class Recorder:
                 self._gone += item.size
         self._write_rows()
 
+    def _hash(self) -> None:
+        """Hash what is not written; before the rows that tell of it."""
+        while self._hashed:
+            kept = self._hashed.popleft()
+            self._digest(kept)
+            self._gone += kept.size
+
+    def _digest(self, kept: _Kept) -> str | None:
+        digest = digest_of(kept.message.payload)
+        if digest is not None:
+            self._hashes.append((*kept.port, kept.message.seq, digest))
+        return digest
+
     def _write_message(self, kept: _Kept) -> None:
         port, message = kept.port, kept.message
-        digest = digest_of(message.payload)
-        if digest is not None:
-            self._hashes.append((*port, message.seq, digest))
-        if port not in self._stored:
-            return
+        digest = self._digest(kept)
         try:
             self._channels.write(port, message, digest)
         except DataError as error:
@@ -228,6 +240,7 @@ class Recorder:
             self._written[port] += 1
 
     def _write_rows(self) -> None:
+        self._hash()
         if self._ended is not None or not (self._rows or self._hashes or self._lost):
             return
         page = {
@@ -243,6 +256,7 @@ class Recorder:
     def _end(self, error: DataError) -> None:
         self._ended = str(error)
         self._inbox.clear()
+        self._hashed.clear()
         _log.warning("the recording ends here, the flight goes on: %s", error)
 
     # ------------------------------------------------------------------ after it

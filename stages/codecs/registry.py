@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+
+import numpy as np
 
 from pipeline.errors import DataError
-from pipeline.recording.codec import PAYLOAD, Codec
+from pipeline.recording.codec import PAYLOAD, PAYLOAD_CLASS, Codec
+from pipeline.transport.schema import class_name
 from stages.codecs.boxes import DetectionsCodec
 from stages.codecs.clouds import ScanCodec, VoxelsCodec
 from stages.codecs.images import DepthCodec, ImageCodec, LabelsCodec
+from stages.codecs.plain import PlainCodec
 from stages.codecs.poses import PoseCodec
 from stages.codecs.raw_images import RawDepthCodec, RawImageCodec
+from stages.fused import FusedImage
 from stages.labels import LabeledVoxels, Labels
-from stages.types import DepthImage, Detections, Image, Pose, Scan
+from stages.types import (
+    ClassScores,
+    Cloud,
+    DepthImage,
+    Detections,
+    Image,
+    Pose,
+    Scan,
+    SemanticVoxels,
+)
 
 #: By payload type. A file names the type, never the code that reads it: a recording from a stranger
 #: must not decide what is imported.
@@ -32,6 +46,12 @@ LOSSLESS: Mapping[type, Codec] = {
     Image: RawImageCodec(),
     DepthImage: RawDepthCodec(),
 }
+
+#: Payloads of ours that no viewer knows, and plain values.
+PLAIN = (
+    *(ClassScores, Cloud, FusedImage, SemanticVoxels),
+    *(bool, int, float, str, bytes, tuple, list, dict, np.ndarray),
+)
 
 #: What a topic of another program is taken for, by its schema.
 _BY_SCHEMA = {
@@ -53,6 +73,8 @@ def codec_of(payload: object) -> Codec:
 
 def codec_for(schema: str, metadata: Mapping[str, str]) -> Codec | None:
     """The codec that reads a topic's messages; None where they are no payload of ours."""
+    if schema == "overflight.Payload":
+        return PayloadCodecs().reading(schema, metadata)
     named = metadata.get(PAYLOAD)
     foreign = _BY_SCHEMA.get(schema)
     for known in (CODECS, LOSSLESS):
@@ -64,13 +86,28 @@ def codec_for(schema: str, metadata: Mapping[str, str]) -> Codec | None:
 
 
 class PayloadCodecs:
-    """The codecs as a recorder and a replay ask for them."""
+    """The codecs as a recorder and a replay ask for them: what viewers show as they show it, any
+    other payload of dataclasses and arrays plainly. All keep every bit.
+
+    `payloads` are those that may be read beside the project's own: a graph's custom ones.
+    """
+
+    def __init__(self, payloads: Iterable[type] = ()) -> None:
+        self._plain = {class_name(payload): payload for payload in (*PLAIN, *payloads)}
+        self._made: dict[type, Codec] = {}
 
     def writing(self, payload: object) -> Codec:
-        try:
-            return LOSSLESS[type(payload)]
-        except KeyError:
-            raise DataError(f"no codec writes {type(payload).__name__} to a recording") from None
+        kind = type(payload)
+        return LOSSLESS[kind] if kind in LOSSLESS else self._of(kind)
 
     def reading(self, schema: str, metadata: Mapping[str, str]) -> Codec | None:
+        named = self._plain.get(metadata.get(PAYLOAD_CLASS, ""))
+        if schema == "overflight.Payload":
+            return None if named is None else self._of(named)
         return codec_for(schema, metadata)
+
+    def _of(self, payload: type) -> Codec:
+        codec = self._made.get(payload)
+        if codec is None:
+            codec = self._made[payload] = PlainCodec(payload)
+        return codec

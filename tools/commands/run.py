@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +10,7 @@ from typing import Annotated
 import typer
 
 from tools.commands.app import RUN_FAILED, app, complain
-from tools.commands.options import GraphFile, ModelFiles, Out, Overlays, Settings, parse_speed
+from tools.commands.options import ModelFiles, Out, Overlays, Settings, parse_speed
 
 
 class CompressionName(StrEnum):
@@ -21,11 +22,45 @@ class CompressionName(StrEnum):
 
 
 @app.command(
-    epilog="Example: overflight run graphs/drive.yaml --set parameters.recording=my_drive "
-    "--speed max --out out/ --report out/report.json"
+    epilog="Examples: overflight run graphs/drive.yaml --set parameters.recording=my_drive "
+    "--speed max --out out/ --report out/report.json. "
+    "overflight run graphs/emulated_uav.yaml --duration 60 --record flight.mcap. "
+    "overflight run flight.mcap --as-recorded"
 )
 def run(
-    graph: GraphFile,
+    graph: Annotated[
+        Path,
+        typer.Argument(
+            metavar="GRAPH|FLIGHT",
+            help="The graph file, or a recorded flight, which brings its own.",
+            show_default=False,
+        ),
+    ],
+    flight: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[FLIGHT]",
+            help="A recorded flight: its messages take the place of the graph's sources.",
+            show_default=False,
+        ),
+    ] = None,
+    as_recorded: Annotated[
+        bool,
+        typer.Option(
+            "--as-recorded",
+            help="Decide everything as in the flight, whatever this machine's speed, and compare "
+            "each message with its recorded hash.",
+        ),
+    ] = False,
+    feed: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="STAGE",
+            help="With --as-recorded: do not execute this stage, take its recorded outputs. "
+            "Repeatable.",
+            show_default=False,
+        ),
+    ] = None,
     settings: Settings = None,
     overlays: Overlays = None,
     models: ModelFiles = None,
@@ -97,12 +132,41 @@ def run(
         bool, typer.Option("--quiet", help="No progress and no table; errors only.")
     ] = False,
 ) -> None:
-    """Run a graph until its sources end, --duration is over, or Ctrl-C."""
+    """Run a graph until its sources end, --duration is over, or Ctrl-C.
+
+    With a recorded flight its messages are the sources: as fast as they came, at --speed, or
+    --as-recorded.
+    """
     factor = parse_speed(speed)
+    from tools.recording.flight_graph import is_flight
     from tools.run import run_file
 
+    own = flight is None and is_flight(graph)
+    if as_recorded:
+        if not own and flight is None:
+            raise typer.BadParameter(f"--as-recorded: {graph} is no flight; name one after it")
+        for name, given in (("record", record), ("trace", trace), ("duration", duration)):
+            if given is not None:
+                raise typer.BadParameter(f"--{name} has no meaning with --as-recorded")
+        from tools.recording.replay import replay_file
+
+        failures = replay_file(
+            flight or graph,
+            None if own else graph,
+            settings=settings or (),
+            overlays=overlays or (),
+            models=models or (),
+            out=out,
+            feed=feed or (),
+            report=report,
+            as_json=as_json,
+            quiet=quiet,
+        )
+        _tell(failures)
+        return
     failures = run_file(
         graph,
+        flight=graph if own else flight,
         settings=settings or (),
         overlays=overlays or (),
         models=models or (),
@@ -118,6 +182,10 @@ def run(
         as_json=as_json,
         quiet=quiet,
     )
+    _tell(failures)
+
+
+def _tell(failures: Sequence[str]) -> None:
     for failure in failures:
         complain(failure)
     if failures:

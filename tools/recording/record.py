@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 import cv2
 import typer
@@ -76,7 +77,7 @@ def manifest_of(graph: Graph, *, offline: bool) -> Manifest:
         started=datetime.now(UTC).isoformat(timespec="seconds"),
         options={stage.name: _options(stage) for stage in graph.stages},
         executors={
-            name: {"use": device.use, **{key: repr(value) for key, value in device.options.items()}}
+            name: {"use": device.use, **_said(device.options)}
             for name, device in graph.devices.items()
         },
         versions={name: version for name, version in versions().items() if version},
@@ -108,11 +109,16 @@ def _options(stage: GraphStage) -> dict[str, str]:
     defaults = {
         option.name: option.default for option in stage.contract.options if not option.required
     }
-    return {
-        name: repr(value)
-        for name, value in {**defaults, **stage.options}.items()
-        if not isinstance(value, Calibration)
-    }
+    return _said({**defaults, **stage.options})
+
+
+def _said(options: Mapping[str, Any]) -> dict[str, str]:
+    """Options as text: values by what they are, objects by their class."""
+    said = {name: repr(value) for name, value in options.items()}
+    for name, value in options.items():
+        if isinstance(value, Calibration) or f" object at {hex(id(value))}" in said[name]:
+            said[name] = f"{type(value).__module__}:{type(value).__qualname__}"
+    return said
 
 
 def _sources(graph: Graph) -> list[Port]:

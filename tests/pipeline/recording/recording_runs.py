@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from pipeline.errors import DataError
 from pipeline.message import Message
 from pipeline.recording.codec import PAYLOAD, Codec, Schema
 from pipeline.recording.manifest import Manifest
-from pipeline.recording.mcap import McapReader
+from pipeline.recording.mcap import McapReader, McapWriter, Record
 from pipeline.recording.recorder import DECISIONS, Recorder
 from pipeline.scheduling.topology import Input, Missing, Port, StageNode, Sync, Topology
 
@@ -91,3 +91,27 @@ def pages(path: Path) -> Iterator[dict[str, Any]]:
     """The decisions of a file, as they stand there."""
     for record in McapReader(path).records([DECISIONS]):
         yield json.loads(record.data)
+
+
+def rewrite(path: Path, change: Callable[[Record], Record | None]) -> None:
+    """Change or leave out records of a file."""
+    reader = McapReader(path)
+    channels = reader.channels()
+    notes = reader.notes()
+    records = list(reader.records(list(channels)))
+    with McapWriter(path, "none") as file:
+        for name, values in notes.items():
+            file.note(name, values)
+        for channel in channels.values():
+            form = Schema(channel.schema, "jsonschema", b"{}", "json")
+            file.add_channel(channel.topic, form, channel.metadata)
+        for record in records:
+            changed = change(record)
+            if changed is not None:
+                file.write(
+                    changed.topic,
+                    changed.data,
+                    received=changed.received,
+                    stamp=changed.stamp,
+                    seq=changed.seq,
+                )

@@ -42,7 +42,10 @@ def test_messages_hashes_and_decisions_are_in_the_file(tmp_path: Path) -> None:
     assert statistics["lost_no_codec"] == {"fuse/out": 20}  # tuples
     reader = McapReader(tmp_path / "f.mcap")
     channel = reader.channels()["lidar"]
-    assert channel.metadata == {"payload": "int", "port": "lidar/out", "lossless": "true"}
+    assert channel.metadata == {
+        **{"payload": "int", "class": "builtins:int"},
+        **{"port": "lidar/out", "lossless": "true"},
+    }
     scans = [Numbers().decode(record.data, 0) for record in reader.records(["lidar"])]
     assert [(scan.stamp, scan.payload) for scan in scans] == [(n * 10 * MS, n) for n in range(20)]
     found = list(pages(tmp_path / "f.mcap"))
