@@ -39,7 +39,7 @@ def run(
     flight: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[FLIGHT]",
+            metavar="FLIGHT",
             help="A recorded flight: its messages take the place of the graph's sources.",
             show_default=False,
         ),
