@@ -12,7 +12,7 @@ PYTEST := $(BIN)/python -m pytest
 ON_ALL_CORES := -n logical --maxprocesses 4 --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo demo-truth test test-fast check types check-tflite-runtime bench profile clean
+.PHONY: help venv demo demo-truth real-propagation test test-fast check types check-tflite-runtime bench profile clean
 
 help:  ## Say what each target does
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
@@ -76,6 +76,9 @@ profile: venv  ## Measure the paper's Fig 9, Table 1 and Table 2 on emulated dev
 	$(BIN)/overflight profile $(UAV) --sweep overlay=$(TABLE2) --duration 10 --html out/profile/table2.html
 	$(BIN)/overflight profile $(UAV) --overlay graphs/profile/table1.yaml --sweep executor --sweep rate_hz=1,2,5,10,15 \
 		--html out/profile/figure9.html --plot out/profile/figure9.svg
+
+real-propagation: venv  ## Label propagation on real data of ../shared, judged by human labels (hours; goes on where it stopped)
+	$(BIN)/overflight evaluate --table real --shared ../shared --out out/real-propagation
 
 clean:  ## Remove what the other targets made
 	rm -rf .venv out/demo out/profile out/truth out/flight.mcap build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis *.egg-info

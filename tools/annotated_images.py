@@ -21,6 +21,7 @@ CATEGORIES: Mapping[str, str] = {
     "bicycle": "bicycle",
     "bike": "bicycle",
     "motorcycle": "bicycle",
+    "motor": "bicycle",
     "car": "vehicle",
     "bus": "vehicle",
     "truck": "vehicle",
@@ -31,7 +32,11 @@ CATEGORIES: Mapping[str, str] = {
 DO_NOT_CARE = ("dontcare", "ignore", "ignoredregion")
 
 #: Where an annotation file may lie in its folder, and the images beside it.
-ANNOTATION_FILES = ("ann.json", "annotations.json", "_annotations.coco.json")
+ANNOTATION_FILES = (
+    *("ann.json", "annotations.json", "_annotations.coco.json"),
+    *("thermal_annotations.json", "coco.json"),  # FLIR ADAS 1 and 2, thermal
+    *(f"annotations/instances_{part}2017.json" for part in ("train", "val")),  # COCO
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +73,7 @@ def read_annotated(folder: Path) -> list[AnnotatedImage]:
         for one in content["annotations"]:
             by_image[one["image_id"]].append(one)
         images = [
-            _image(file.parent, one, by_image[one["id"]], class_of) for one in content["images"]
+            _image(_root(file), one, by_image[one["id"]], class_of) for one in content["images"]
         ]
     except (ValueError, KeyError, TypeError, OSError) as error:
         reason = f"{type(error).__name__} {error}"
@@ -76,6 +81,14 @@ def read_annotated(folder: Path) -> list[AnnotatedImage]:
     if not images:
         raise DataError(f"{file}: lists no images")
     return sorted(images, key=lambda image: image.path.name)
+
+
+def _root(file: Path) -> Path:
+    """Where the images of an annotation file are: beside it, or in COCO's folder of that part."""
+    if file.parent.name != "annotations":
+        return file.parent
+    part = file.parent.parent / file.stem.removeprefix("instances_")
+    return part if part.is_dir() else file.parent.parent
 
 
 def _classes(names: Mapping[int, str]) -> dict[int, int | None]:

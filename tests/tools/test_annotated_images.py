@@ -66,3 +66,37 @@ def test_the_shared_sets_hold_what_their_description_says(shared: Path) -> None:
     }
     assert counts == {"person": 432, "vehicle": 78, "bicycle": 116}
     assert sum(int(image.ignored.sum()) for image in images) == 3
+
+
+@pytest.mark.parametrize(
+    ("annotations", "name", "image"),
+    [
+        ("annotations/instances_val2017.json", "a.png", "val2017/a.png"),  # COCO
+        ("annotations/instances_train2017.json", "a.png", "train2017/a.png"),
+        ("thermal_annotations.json", "thermal_8_bit/a.png", "thermal_8_bit/a.png"),  # FLIR ADAS 1
+        ("coco.json", "data/a.png", "data/a.png"),  # FLIR ADAS 2
+    ],
+)
+def test_the_layouts_of_coco_and_flir_adas_are_known(
+    annotations: str, name: str, image: str, tmp_path: Path
+) -> None:
+    coco(tmp_path)
+    for file in (annotations, image):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / "a.png").rename(tmp_path / image)
+    content = json.loads((tmp_path / "ann.json").read_text())
+    content["images"][0]["file_name"] = name
+    content["categories"] = [
+        {"id": 1, "name": "bike"}, {"id": 2, "name": "motor"},
+        {"id": 3, "name": "other vehicle"}, {"id": 4, "name": "dog"},
+    ]  # fmt: skip
+    (tmp_path / "ann.json").unlink()
+    (tmp_path / annotations).write_text(json.dumps(content))
+    (found,) = read_annotated(tmp_path)
+    taxonomy = load_taxonomy()
+    ours = [taxonomy.id("bicycle"), taxonomy.id("bicycle"), taxonomy.id("vehicle")]
+    assert found.classes.tolist() == ours
+    assert found.path == tmp_path / image
+    found.path.unlink()
+    with pytest.raises(DataError, match=r"has no image .*a\.png, which its annotations name"):
+        read_annotated(tmp_path)

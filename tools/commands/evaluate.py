@@ -9,23 +9,25 @@ import typer
 
 from tools.commands.app import app
 from tools.commands.options import AsJson
+from tools.tables.names import PaperTable
 
 
 @app.command(
     epilog="Examples: overflight evaluate out/labels --truth sequences/00 --truth-labels "
     "semantickitti. overflight evaluate out/map.ply --truth annotated.ply --groups paper. "
-    "overflight evaluate out/map.ply (how sharp it is)."
+    "overflight evaluate out/map.ply (how sharp it is). overflight evaluate --table 5 --quick (the "
+    "paper's tables on simulated flights: 3, 4, 5, 6; or 'real')."
 )
 def evaluate(
     prediction: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             metavar="PREDICTION",
             help="A folder of label files, masks or npz, one per frame; or a map (PLY, npz, "
             "checkpoint).",
             show_default=False,
         ),
-    ],
+    ] = None,
     truth: Annotated[
         Path | None,
         typer.Option(
@@ -107,9 +109,43 @@ def evaluate(
         Path | None,
         typer.Option(metavar="FILE", help="Draw the confusion matrix.", show_default=False),
     ] = None,
+    table: Annotated[
+        PaperTable | None,
+        typer.Option(
+            help="Make a table of the paper anew, in place of judging a PREDICTION: simulates, "
+            "trains, judges; stopped, it goes on.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Of a --table: flights, networks, rows.")
+    ] = Path("out/tables"),
+    seeds: Annotated[int, typer.Option(min=1, help="Of a --table: trainings of each row.")] = 3,
+    steps: Annotated[
+        int | None,
+        typer.Option(min=1, help="Of a --table: of each training.", show_default="the scale's"),
+    ] = None,
+    quick: Annotated[
+        bool,
+        typer.Option("--quick", help="A --table in small: it shows that it works, not how well."),
+    ] = False,
+    shared: Annotated[
+        Path,
+        typer.Option(metavar="FOLDER", help="Of --table real: recordings and public networks."),
+    ] = Path("../shared"),
+    threads: Annotated[int, typer.Option(min=1, help="Of torch, in a --table.")] = 1,
     as_json: AsJson = False,
 ) -> None:
     """Judge labels, masks or a map against the truth: IoU by class, and a map's sharpness."""
+    if table is not None:
+        from tools.tables.run import TableOrder, run_table
+
+        if prediction is not None:
+            raise typer.BadParameter("a --table judges no PREDICTION")
+        run_table(TableOrder(table, out, seeds, steps, quick, shared, threads), as_json=as_json)
+        return
+    if prediction is None:
+        raise typer.BadParameter("give a PREDICTION to be judged, or a --table to be made")
     from stages.labeled_files import LabelSet
     from tools.evaluate import evaluate_path
     from tools.evaluation_frames import CameraView

@@ -94,6 +94,14 @@ def propagate(
     pictures: Annotated[
         int, typer.Option(metavar="N", min=0, help="Scans that the report shows as panels.")
     ] = 4,
+    observations: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="The FOLDER of another propagation of the recording, whose observations to use.",
+            show_default="the output's",
+        ),
+    ] = None,
     graph: Annotated[
         Path | None,
         typer.Option(
@@ -136,7 +144,9 @@ def propagate(
         sound_only=sound_only,
     )
     name = LabelSet.named(label_set).name
-    product = Product(output, None if name == OWN else name, not no_scans, pictures)
+    product = Product(
+        output, None if name == OWN else name, not no_scans, pictures, observed=observations
+    )
     try:
         order = Order.of(recording, graph, models or (), settings or ())
         report = propagate(order, choices, product, Console(stderr=True))

@@ -39,13 +39,14 @@ class Product:
     scans: bool = True  #: write the scans too: a whole sequence
     pictures: int = 4
     surveyed: bool = True  #: measure what the other teachers would have labeled
+    observed: Path | None = None  #: where the observations are, or shall be; None: in `output`
 
 
 def propagate(
     order: Order, settings: Settings, product: Product, console: Console
 ) -> dict[str, Any]:
     """Observe, build the map, label, report. Raises OverflightError."""
-    files, cached = observe(order, product.output, console)
+    files, cached = observe(order, product.observed or product.output, console)
     report: dict[str, Any] = {
         "recording": str(order.recording),
         "graph": str(order.graph),

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from rich.console import Console
+from torch import nn
 
 from stages.scan_statistics import SHIPPED
 from stages.types import CHANNELS
+from tools.models.add import add_model
+from tools.models.entry import Said
 from tools.train.balance import balance
+from tools.train.export import Exportable, write_onnx, write_openvino
 from tools.train.plan import Order, Plan, carry_out
 from tools.train.point_segmenter import PointSegmenter
-from tools.train.products import SAMPLES, Meaning
+from tools.train.products import REGISTRY, SAMPLES, Meaning
 from tools.train.salsanext import SalsaNext
 from tools.train.scan_mix import open_mix
 from tools.train.scan_recipes import recipe_named
 
 #: Rows and columns of the range image.
 SIZE = (64, 512)
+#: Greatest learning rate: twice that of the image networks, as a scan network has few parameters.
+RATE = 4e-3
 #: Parts of scans that are learned from at once; a larger batch is gathered from several.
 AT_ONCE = 4
 
@@ -35,6 +44,7 @@ class ScanChoices:
     channels: int = 5
     name: str = "segment-scan"
     balanced: bool = True
+    sizes: tuple[tuple[int, int], ...] = (SIZE,)  #: of files: the first is trained, others as well
 
 
 def train_from_points(order: Order, choices: ScanChoices, console: Console) -> Path:
@@ -64,6 +74,37 @@ def train_from_points(order: Order, choices: ScanChoices, console: Console) -> P
         ),
         samples=inputs,
         data=f"{mix.told}; recipe {recipe.name}, normalized as {choices.sensor}",
-        finish=(lambda trained: balance(trained, inputs, classes)) if choices.balanced else None,
+        rate=RATE,
+        finish=lambda trained: _finish(trained, plan, order, choices, inputs, classes),
     )
     return carry_out(plan, order, console)
+
+
+def _finish(
+    trained: nn.Module,
+    plan: Plan,
+    order: Order,
+    choices: ScanChoices,
+    inputs: Sequence[NDArray[np.float32]],
+    classes: Sequence[NDArray[np.uint8]],
+) -> None:
+    """Balance the classes; write the files for larger images, named after their columns."""
+    if choices.balanced:
+        balance(trained, inputs, classes)
+    for size in choices.sizes[1:]:
+        name = f"{plan.name}-{size[1]}"
+        model = Exportable(name, trained, (choices.channels, *size), plan.outputs)
+        onnx = write_onnx(model, order.output)
+        said = Said(
+            head=plan.meaning.head,
+            classes={},
+            outputs={output: output for output in plan.outputs},
+            color=None,
+            mean=[plan.meaning.mean],
+            std=[plan.meaning.std],
+            description=plan.meaning.description,
+            license=plan.meaning.license,
+            source=plan.meaning.source,
+        )
+        files = [write_openvino(model, onnx, order.output), onnx]
+        add_model(name, files, said, order.output / REGISTRY, replace=True)

@@ -21,6 +21,7 @@ from tools.train.detector import MEAN, STD
 from tools.train.flights import with_truth
 from tools.train.plan import Order, Plan, carry_out
 from tools.train.products import SAMPLES, Meaning
+from tools.train.readers import vistas
 from tools.train.salsanext import SalsaNext
 from tools.train.segmenter import ImageSegmenter, LabeledImage, LabeledScan, ScanSegmenter
 
@@ -97,7 +98,9 @@ def train_scan_segmenter(
 
 
 def read_images(flight: Path) -> list[LabeledImage]:
-    """The color images of a flight with their labels. Raises DataError."""
+    """The color images of a flight, or of Mapillary Vistas, with their labels. Raises DataError."""
+    if vistas.fits(flight):
+        return vistas.read_vistas(flight)
     found = [
         LabeledImage(np.asarray(image.data, dtype=np.uint8), truth.classes)
         for image, truth in with_truth(flight, Image, Labels)

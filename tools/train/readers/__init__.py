@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tools.train.readers import flights, pcl_segmentation, semantickitti
+from tools.train.readers import flights, paris_carla, pcl_segmentation, semantickitti
 from tools.train.scan_sources import ScanSource
 
 
@@ -26,6 +26,9 @@ LAYOUTS = {
         "velodyne/*.bin with labels/*.label, or sequences/NN of them",
         semantickitti.fits,
         semantickitti.open_scans,
+    ),
+    "paris-carla": Layout(
+        "a street as *.ply with tags and times", paris_carla.fits, paris_carla.open_views
     ),
     "pcl-segmentation": Layout(
         "*.npy of (rows, columns, 6)", pcl_segmentation.fits, pcl_segmentation.open_scans

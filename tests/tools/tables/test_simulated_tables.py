@@ -1,0 +1,171 @@
+"""The simulated tables' plan, and how a row is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from stages.labels import LabeledVoxels
+from stages.observed import Observation, Said
+from stages.types import Scan
+from tools.tables.evidence import classes_of, fused_evidence, with_fused
+from tools.tables.plan import RowPlan, plans, scale_named
+from tools.tables.simulated import _judge_map, _judge_scans
+from tools.tables.world import JudgedScan
+from tools.train.scan_recipes import RECIPES
+
+ROAD, PERSON, VEHICLE, BUILDING = 3, 5, 13, 1
+
+
+def rows(classes: list[int], sure: float = 4.0) -> NDArray[np.float32]:
+    scores = np.zeros((len(classes), 16), np.float32)
+    scores[np.arange(len(classes)), classes] = sure
+    scores[:, 15] = -1e4
+    return scores
+
+
+class Network:
+    """Says a class of each point, and nothing of the last one."""
+
+    def __init__(self, classes: list[int], sure: float = 2.0) -> None:
+        self._rows = rows(classes, sure)
+
+    def scores(self, scan: Scan) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        said = np.ones(len(scan.points), np.bool_)
+        said[-1] = False
+        return self._rows, said
+
+
+def judged(truth: list[int], visible: list[int], camera: dict[int, int]) -> JudgedScan:
+    n = len(truth)
+    points = np.column_stack([np.arange(n) + 2.1, np.full(n, 0.1), np.full(n, 0.1)])
+    index = np.array(sorted(camera), np.int32)
+    said = Said(index, rows([camera[k] for k in sorted(camera)]).astype(np.float16))
+    observation = Observation(
+        0, points.astype(np.float32), None, None, "lidar", np.eye(4), said, None, False
+    )
+    seen = np.zeros(n, np.bool_)
+    seen[visible] = True
+    return JudgedScan(observation, np.array(truth, np.uint8), seen)
+
+
+class World:
+    """One scan in place of flights."""
+
+    def __init__(self, scan: JudgedScan) -> None:
+        self.scan = scan
+
+    def judged(self, _: str) -> Iterator[JudgedScan]:
+        yield self.scan
+
+    def true_map(self, _: str) -> LabeledVoxels:
+        indices = np.floor(self.scan.observation.points / 0.25).astype(np.int32)
+        beyond = np.array([[4000, 0, 0]], np.int32)  # no return ever hit it
+        classes = np.append(self.scan.truth, BUILDING).astype(np.uint8)
+        return LabeledVoxels(0.25, np.concatenate([indices, beyond]), classes)
+
+
+SCAN = judged([ROAD, ROAD, VEHICLE, PERSON, PERSON], [0, 1, 2, 3], {0: ROAD, 1: ROAD, 2: VEHICLE})
+
+
+def row(**changes: object) -> RowPlan:
+    return RowPlan.model_validate({"title": "t"} | changes)
+
+
+def test_the_tables_have_the_papers_rows_and_two_controls() -> None:
+    tables = plans().tables
+    assert {name: len(table.rows) for name, table in tables.items()} == {
+        "3": 8, "4": 6, "5": 13, "6": 4,
+    }  # fmt: skip
+    assert sum(one.mean is None for one in tables["5"].rows.values()) == 2
+
+
+def test_every_row_names_a_network_and_every_network_known_parts() -> None:
+    networks = plans().networks
+    for table in plans().tables.values():
+        for one in table.rows.values():
+            assert one.network is None or one.network in networks
+    parts = {"source", "views", "map", "overlay", "fused", "unlabeled"}
+    for network in networks.values():
+        assert set(network.parts) <= parts
+        assert network.recipe in RECIPES
+        assert network.start is None or networks[network.start].channels == network.channels
+    for name in ("full", "quick"):
+        assert scale_named(name).steps > 0
+
+
+def test_evidence_is_the_networks_times_the_cameras() -> None:
+    network = Network([VEHICLE, VEHICLE, VEHICLE, PERSON, PERSON])
+    alone = fused_evidence(SCAN.observation, network, cameras=False)  # type: ignore[arg-type]
+    assert classes_of(alone).tolist() == [VEHICLE, VEHICLE, VEHICLE, PERSON, 0]
+    both = fused_evidence(SCAN.observation, network, cameras=True)  # type: ignore[arg-type]
+    assert classes_of(both).tolist() == [ROAD, ROAD, VEHICLE, PERSON, 0]  # surer than the network
+    cameras = fused_evidence(SCAN.observation, None, cameras=True)
+    assert classes_of(cameras).tolist() == [ROAD, ROAD, VEHICLE, 0, 0]
+    kept = with_fused(SCAN.observation, both)
+    assert kept.fused is not None
+    assert kept.fused.index.tolist() == [0, 1, 2, 3]
+
+
+def test_background_is_never_said() -> None:
+    network = Network([0, 0, 0, 0, 0], sure=9.0)
+    cloud = fused_evidence(SCAN.observation, network, cameras=False)  # type: ignore[arg-type]
+    assert 0 not in classes_of(cloud)[:4]
+
+
+def test_a_row_in_the_cameras_view_leaves_the_rest_out() -> None:
+    network = Network([ROAD, ROAD, VEHICLE, ROAD, PERSON])
+    whole = _judge_scans(World(SCAN), row(network="source"), network, "flight_a")  # type: ignore[arg-type]
+    assert whole.points == {
+        "building": 0, "road": 2, "vegetation": 0, "person": 2, "bike": 0, "car": 1, "object": 0,
+    }  # fmt: skip
+    assert whole.classes["person"] == 0
+    assert whole.facts["person_points_out_of_view"] == 1
+    assert whole.facts["person_recall_out_of_view"] == 0
+    part = _judge_scans(
+        World(SCAN),
+        row(network="source", view="camera"),
+        network,
+        "flight_a",  # type: ignore[arg-type]
+    )
+    assert part.points["person"] == 1
+    assert "person_recall_out_of_view" not in part.facts
+
+
+def test_what_the_images_say_nothing_of_is_no_part_of_their_row() -> None:
+    verdict = _judge_scans(World(SCAN), row(view="camera"), None, "flight_a")  # type: ignore[arg-type]
+    assert verdict.points["person"] == 0
+    assert verdict.mean == pytest.approx(100)
+
+
+@pytest.mark.parametrize(("view", "person"), [("all", 2), ("camera", 0)])
+def test_a_voxel_that_a_map_lacks_is_a_miss_unless_the_view_is_the_cameras(
+    view: str, person: int
+) -> None:
+    verdict = _judge_map(World(SCAN), row(map=True, view=view), None, "flight_a")  # type: ignore[arg-type]
+    assert verdict.points["person"] == person
+    assert verdict.points["road"] == 2
+    assert verdict.points["building"] == 0  # nobody could have seen it
+    assert verdict.classes["road"] == 100
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--table", "7"], "'7' is not one of '3', '4', '5', '6', 'real'"),
+        (["a.ply", "--table", "3"], "judges no PREDICTION"),
+        ([], "give a PREDICTION to be judged, or a --table to be made"),
+        (["--table", "real", "--shared", "."], "is not there; this table needs it (--shared)"),
+    ],
+)
+def test_a_mistake_is_said_in_a_line(
+    words: list[str], said: str, overflight: Callable[..., object]
+) -> None:
+    if words[:2] == ["--table", "real"]:
+        pytest.importorskip("torch", reason="training needs the extra 'train'")
+    answer = overflight("evaluate", *words)
+    assert answer.code == 2
+    assert said in " ".join(answer.err.replace("│", " ").split())

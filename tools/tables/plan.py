@@ -1,0 +1,84 @@
+"""What the simulated tables are made of, read from the YAML files beside this module."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field
+
+HERE = Path(__file__).parent
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class RowPlan(_Entry):
+    """One row of a table."""
+
+    title: str
+    mean: float | None = None  #: the paper's, percent
+    network: str | None = None  #: None: the cameras alone
+    size: Literal[512, 1024] = 512
+    fused: bool = False
+    view: Literal["all", "camera"] = "all"
+    normal: Literal["adapted", "source"] = "adapted"
+    map: bool = False  #: judged as a map, not scan by scan
+
+
+class TablePlan(_Entry):
+    """A table of the paper."""
+
+    title: str
+    rows: dict[str, RowPlan]
+
+
+class NetworkPlan(_Entry):
+    """A network and what it learns from."""
+
+    channels: Literal[4, 5]
+    recipe: str
+    parts: dict[str, float]  #: share by source, see `paper.yaml`
+    start: str | None = None
+
+
+class Flights(_Entry):
+    """Simulated flights of one preset."""
+
+    seeds: list[int]
+    preset: dict[str, Any]
+
+
+class Scale(_Entry):
+    """How large everything is."""
+
+    source: Flights
+    views: Flights
+    flight_a: Flights
+    flight_b: Flights
+    width: float = Field(gt=0)
+    steps: int = Field(ge=1)
+    batch: int = Field(ge=4, multiple_of=4)
+
+
+class Plans(_Entry):
+    """All tables and networks."""
+
+    tables: dict[str, TablePlan]
+    networks: dict[str, NetworkPlan]
+
+
+@cache
+def plans() -> Plans:
+    """The shipped tables."""
+    return Plans.model_validate(yaml.safe_load((HERE / "paper.yaml").read_text("utf-8")))
+
+
+@cache
+def scale_named(name: str) -> Scale:
+    """The shipped scale `full` or `quick`."""
+    scales = yaml.safe_load((HERE / "scales.yaml").read_text("utf-8"))
+    return Scale.model_validate(scales[name])

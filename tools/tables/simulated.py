@@ -1,0 +1,157 @@
+"""The paper's tables 3 to 6 on simulated flights, whose truth is exact.
+
+Judged are flight A, whose labels were propagated (as in the paper), and flight B in another city,
+which no network has seen. Per point the likeliest class against what the ray hit; the paper judges
+against the class of the point's voxel in a map annotated by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from stages.kernels.evaluation import map_confusion
+from stages.kernels.metrics import WIDTH, confusion
+from stages.kernels.propagation import confident_labels
+from stages.kernels.voxels import pack
+from stages.taxonomy import load_taxonomy
+from stages.types import Cloud
+from stages.voxel_map import VoxelMap
+from tools.tables.evidence import classes_of, fused_evidence
+from tools.tables.networks import Networks
+from tools.tables.plan import RowPlan, Scale, plans, scale_named
+from tools.tables.rows import Rows, Verdict
+from tools.tables.scan_judging import ScanNetwork
+from tools.tables.table import Line, Table
+from tools.tables.world import JudgedScan, World
+
+if TYPE_CHECKING:
+    from tools.tables.run import TableOrder
+
+VOXEL_M = 0.25
+FLIGHTS = {"flight_a": "flight A, whose labels were propagated", "flight_b": "city B, held out"}
+WHY = (
+    "read the paper's figures for their order: its world, its sensors and its 20,000 scans of "
+    "SemanticKITTI are others, and one set of weights sees both image sizes here"
+)
+
+
+def simulated_tables(order: TableOrder, console: Console) -> list[Table]:
+    """One table for each judged flight. Raises OverflightError, `tools.train.loop.Interrupted`."""
+    name = "quick" if order.quick else "full"
+    scale = scale_named(name)
+    steps = order.steps or scale.steps
+    seeds = 1 if order.quick else order.seeds
+    folder = order.output / name
+    world = World(folder, scale, console)
+    networks = Networks(world, steps, order.threads, console)
+    conditions = {"scale": scale.model_dump(mode="json"), "steps": steps}
+    rows = Rows(folder, conditions, console)
+    plan = plans().tables[order.table.value]
+    verdicts: dict[tuple[str, str], list[Verdict]] = {}
+    for seed in range(seeds):
+        for key, row in plan.rows.items():
+            for flight in FLIGHTS:
+                fill = _filler(world, networks, row, flight, seed)
+                verdict = rows.filled(f"{key}-{flight}", seed, fill)
+                verdicts.setdefault((key, flight), []).append(verdict)
+    return [
+        Table(
+            f"Table {order.table.value}: {plan.title} ({told})",
+            [_line(row, verdicts[key, flight]) for key, row in plan.rows.items()],
+            (*_conditions(scale, steps, name), WHY),
+        )
+        for flight, told in FLIGHTS.items()
+    ]
+
+
+def _line(row: RowPlan, verdicts: Sequence[Verdict]) -> Line:
+    outside = [one.facts.get("person_recall_out_of_view") for one in verdicts]
+    known = [float(one) for one in outside if one is not None]
+    note = f"persons out of every camera's view: recall {np.mean(known):.0f} %" if known else ""
+    return Line(row.title, verdicts, row.mean, note)
+
+
+def _conditions(scale: Scale, steps: int, name: str) -> list[str]:
+    told = [
+        f"scale {name}: {steps} steps of {scale.batch} half scans, SalsaNext x {scale.width:g}, "
+        f"flights of {scale.flight_a.preset['duration_s']:g} s"
+    ]
+    if name == "quick":
+        told.append("--quick shows that the table can be made; its networks have hardly learned")
+    return told
+
+
+def _filler(
+    world: World, networks: Networks, row: RowPlan, flight: str, seed: int
+) -> Callable[[], Verdict]:
+    def fill() -> Verdict:
+        network = None
+        if row.network is not None:
+            network = networks.open(row.network, seed, row.size, row.normal)
+        if row.map:
+            return _judge_map(world, row, network, flight)
+        return _judge_scans(world, row, network, flight)
+
+    return fill
+
+
+def _judge_scans(world: World, row: RowPlan, network: ScanNetwork | None, flight: str) -> Verdict:
+    total = np.zeros((WIDTH, WIDTH), dtype=np.int64)
+    person = load_taxonomy().id("person")
+    unseen = found = 0
+    for scan in world.judged(flight):
+        said = classes_of(_cloud(scan, row, network))
+        judged = scan.truth > 0
+        if row.view == "camera":
+            judged &= scan.visible
+            if network is None:  # what the images say nothing of is no part of their row
+                judged &= said > 0
+        total += confusion(scan.truth[judged], said[judged])
+        hidden = (scan.truth == person) & ~scan.visible
+        unseen += int(np.count_nonzero(hidden))
+        found += int(np.count_nonzero(said[hidden] == person))
+    facts: dict[str, Any] = {"person_points_out_of_view": unseen}
+    if unseen and row.view == "all":
+        facts["person_recall_out_of_view"] = 100 * found / unseen
+    return Verdict.of(total, "paper", facts=facts)
+
+
+def _cloud(scan: JudgedScan, row: RowPlan, network: ScanNetwork | None) -> Cloud:
+    cameras = row.fused or network is None
+    return fused_evidence(scan.observation, network, cameras=cameras)
+
+
+def _judge_map(world: World, row: RowPlan, network: ScanNetwork | None, flight: str) -> Verdict:
+    """Voxel by voxel against the true map, over the voxels that any return of the flight hit."""
+    classes = len(load_taxonomy())
+    built = VoxelMap(voxel_m=VOXEL_M, classes=classes)
+    everything = VoxelMap(voxel_m=VOXEL_M, classes=classes)
+    for scan in world.judged(flight):
+        pose = scan.observation.map_from_sensor
+        if pose is None:
+            continue
+        cloud = _cloud(scan, row, network)
+        built.integrate(cloud, pose, scan.observation.stamp)
+        hit = Cloud(cloud.points, cloud.log_scores, scan.truth > 0, pose, cloud.sensor)
+        everything.integrate(hit, pose, scan.observation.stamp)
+    said, hit_voxels = built.snapshot(), everything.snapshot()
+    true = world.true_map(flight)
+    among = _rows_in(true.indices, hit_voxels.indices)
+    matrix = map_confusion(
+        true.indices[among],
+        true.classes[among].astype(np.int64),
+        said.indices,
+        confident_labels(said.log_scores, classes, 0.0).astype(np.int64),
+        missing_counts=row.view == "all",
+    )
+    return Verdict.of(matrix, "paper", facts={"voxels": len(said.indices)})
+
+
+def _rows_in(voxels: NDArray[np.int32], others: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The rows of voxels (n, 3) that are among the others (m, 3)."""
+    return np.flatnonzero(np.isin(pack(voxels), pack(others)))
