@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from pipeline.transport.envelope import Envelope
 from pipeline.transport.schema import PayloadSchema
@@ -59,8 +59,7 @@ class Channel:
     compressor: Compressor | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
+class Arrival(NamedTuple):
     """What a subscriber gets: a message, or news of a stream's bound or end."""
 
     envelope: Envelope

@@ -40,6 +40,9 @@ class Kind(IntEnum):
     END = 4  #: nothing will come any more
 
 
+_KINDS = tuple(Kind)
+
+
 class Slot(NamedTuple):
     """Where a payload lies in shared memory."""
 
@@ -113,11 +116,11 @@ class Envelope(NamedTuple):
 
 def pack(envelope: Envelope) -> bytes:
     """The envelope as bytes. Raises WireError where a field is out of range."""
-    place = envelope.place
+    place, slot, executor = envelope.place, envelope.place.slot, envelope.executor
     flags = (
         _DEGRADED * envelope.degraded
-        | _EXECUTOR * (envelope.executor is not None)
-        | _RING * (place.slot is not None)
+        | (0 if executor is None else _EXECUTOR)
+        | (0 if slot is None else _RING)
         | _ZSTD * place.zstd
     )
     if len(envelope.lineage) > MAX_SAMPLES:
@@ -148,10 +151,10 @@ def pack(envelope: Envelope) -> bytes:
             ),
             _text(envelope.port),
         ]
-        if envelope.executor is not None:
-            parts.append(_text(envelope.executor))
-        if place.slot is not None:
-            parts += [_text(place.slot.file), _SLOT.pack(place.slot.at, place.slot.generation)]
+        if executor is not None:
+            parts.append(_text(executor))
+        if slot is not None:
+            parts += [_text(slot.file), _SLOT.pack(slot.at, slot.generation)]
         for stream, stamp, received in envelope.lineage:
             parts += [_text(stream), _SAMPLE.pack(stamp, received)]
     except (struct.error, UnicodeEncodeError) as error:
@@ -176,26 +179,12 @@ def unpack(data: bytes) -> Envelope:
 
 
 def _unpack(data: bytes) -> Envelope:
-    (
-        *_,
-        kind,
-        flags,
-        samples,
-        schema,
-        epoch,
-        number,
-        stamp,
-        begin,
-        end,
-        received,
-        bound,
-        seq,
-        header,
-        size,
-        stored,
-    ) = _FIXED.unpack_from(data)
-    if flags & ~_FLAGS or samples > MAX_SAMPLES:
-        raise ValueError(f"flags {flags:#x}, {samples} samples")
+    _, _, kind, flags, samples, schema, epoch, number, *times, header, size, stored = (
+        _FIXED.unpack_from(data)
+    )
+    stamp, begin, end, received, bound, seq = times
+    if kind >= len(_KINDS) or flags & ~_FLAGS or samples > MAX_SAMPLES:
+        raise ValueError(f"kind {kind}, flags {flags:#x}, {samples} samples")
     at = _FIXED.size
     port, at = _read_text(data, at)
     executor = slot = None
@@ -213,7 +202,7 @@ def _unpack(data: bytes) -> Envelope:
     if at != len(data):
         raise ValueError(f"{len(data) - at} bytes after its end")
     return Envelope(
-        Kind(kind),
+        _KINDS[kind],
         port,
         bound,
         stamp,

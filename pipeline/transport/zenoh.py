@@ -156,7 +156,8 @@ class Link:
             outlet.close()
         for inlet in self._inlets.values():
             inlet.close()
-        self._session.close()  # type: ignore[no-untyped-call]
+        with contextlib.suppress(zenoh.ZError):  # it waits for its peers, but not for ever
+            self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:
         return self
