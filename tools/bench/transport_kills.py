@@ -82,10 +82,12 @@ def measure(effort: Effort) -> list[Row]:
         Row(
             f"{kills} kills of a peer, publishers and subscribers in turn",
             "no leak",
-            f"RSS {before.rss_mb:.1f} to {after.rss_mb:.1f} MB; descriptors "
-            f"{before.descriptors} to {after.descriptors}; threads {before.threads} to {after.threads}; "
-            f"files in {FOLDER} {before.shared_files} to {after.shared_files}; heard again within p50 "
-            f"{quantile(gaps, 0.5):.2f}, p95 {quantile(gaps, 0.95):.2f} s of the start",
+            f"RSS {before.rss_mb:.1f} to {after.rss_mb:.1f} MB; "
+            f"descriptors {before.descriptors} to {after.descriptors}; "
+            f"threads {before.threads} to {after.threads}; "
+            f"files in {FOLDER} {before.shared_files} to {after.shared_files}; "
+            f"heard again within p50 {quantile(gaps, 0.5):.2f}, p95 {quantile(gaps, 0.95):.2f} s "
+            "of the start",
             met=same and grown < max(5.0, 0.01 * kills),
             values={
                 "kills": kills,
