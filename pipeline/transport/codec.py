@@ -78,15 +78,32 @@ def encode(value: Any, schema: PayloadSchema, max_bytes: int) -> Encoded:
 
 def decode(header: bytes, data: Bytes, schema: PayloadSchema) -> Any:
     """The payload again; its arrays are read-only views of `data`. Raises WireError."""
-    _check_size("header", len(header), HEADER_BYTES, "nothing of ours is longer")
-    try:
-        return _Reader(schema, data).value(_from_json(header), 0)
-    except WireError:
-        raise
-    except Exception as error:  # a class of the graph may refuse its fields with anything
-        raise WireError(
-            "malformed", f"a payload is not what its header says: {type(error).__name__}: {error}"
-        ) from None
+    return Decoder(schema).decode(header, data)
+
+
+class Decoder:
+    """Decodes the payloads of one stream, whose headers are often alike: the last is kept."""
+
+    def __init__(self, schema: PayloadSchema) -> None:
+        self._schema = schema
+        self._header = b"null"
+        self._structure: Any = None
+
+    def decode(self, header: bytes, data: Bytes) -> Any:
+        """As `decode` above."""
+        _check_size("header", len(header), HEADER_BYTES, "nothing of ours is longer")
+        try:
+            if header != self._header:
+                self._structure = _from_json(header)
+                self._header = header
+            return _Reader(self._schema, data).value(self._structure, 0)
+        except WireError:
+            raise
+        except Exception as error:  # a class of the graph may refuse its fields with anything
+            raise WireError(
+                "malformed",
+                f"a payload is not what its header says: {type(error).__name__}: {error}",
+            ) from None
 
 
 def _flat(array: NDArray[Any]) -> memoryview:

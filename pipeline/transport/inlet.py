@@ -13,7 +13,7 @@ import zstandard
 
 from pipeline.errors import WireError
 from pipeline.transport.channel import Arrival, Channel, ChannelStatistics, Refused
-from pipeline.transport.codec import HEADER_BYTES, Bytes, decode
+from pipeline.transport.codec import HEADER_BYTES, Bytes, Decoder
 from pipeline.transport.envelope import Envelope, Kind, Place, Slot, unpack
 from pipeline.transport.numbering import Numbering
 from pipeline.transport.ring import Reading, RingReader
@@ -30,6 +30,7 @@ class Inlet:
         self._on_arrival = on_arrival
         self._numbering = Numbering()
         self._ring = RingReader(folder)
+        self._decoder = Decoder(channel.schema)
         self._unreadable = 0  #: messages that came, but not their payload
         self._untold = 0  #: losses that no arrival has told yet
         self._received = self._bytes = 0
@@ -110,7 +111,7 @@ class Inlet:
                 header, data = reading.header, reading.data
             else:
                 header, data = _beside(place, body())
-            payload = self._restored(decode(header, data, self._channel.schema))
+            payload = self._restored(self._decoder.decode(header, data))
         except WireError:
             self._unreadable += 1
             self._untold += 1

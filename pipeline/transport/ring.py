@@ -14,13 +14,11 @@ reader lets go.
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import fcntl
 import mmap
 import os
 import struct
-import threading
 import time
 import weakref
 from collections.abc import Callable
@@ -44,13 +42,17 @@ _FILLING, _FILLED, _WITHDRAWN = range(3)
 FILL_S = 0.2
 _POLL_S = 20e-6
 _FLOCK = struct.Struct("hhqqi4x")
+#: The requests to the kernel, by kind of lock and slot.
+_REQUESTS = {
+    kind: tuple(_FLOCK.pack(kind, os.SEEK_SET, at, 1, 0) for at in range(MAX_SLOTS))
+    for kind in (fcntl.F_RDLCK, fcntl.F_WRLCK, fcntl.F_UNLCK)
+}
 
 
-def _lock(descriptor: int, kind: int, index: int) -> bool:
+def _lock(descriptor: int, kind: int, at: int) -> bool:
     """Set (or release) the lock of a slot; False where another holds it."""
-    request = _FLOCK.pack(kind, os.SEEK_SET, index, 1, 0)
     try:
-        fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, request)
+        fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, _REQUESTS[kind][at])
     except OSError as error:
         if error.errno not in (errno.EAGAIN, errno.EACCES):
             raise
@@ -232,50 +234,50 @@ class _View:
             raise ValueError(f"{name} is no ring")
         self._words = memoryview(self._memory)[:PAGE].cast("Q")
         self._slot_bytes = self._words[-1]
+        room = len(self._memory) - PAGE
+        self._slots = min(room // self._slot_bytes if self._slot_bytes else 0, MAX_SLOTS)
         self._held: set[int] = set()
-        # The last array over a slot may die on any thread, also (reentrant) in the middle of ours.
-        self._lock = threading.RLock()
 
     def hold(self, slot: Slot) -> Reading | None:
         at = slot.at
-        start = PAGE + at * self._slot_bytes
-        if at >= MAX_SLOTS or start + self._slot_bytes > len(self._memory):
+        if at >= self._slots:
             raise ValueError(f"slot {at} lies outside {self.name}")
         if not self._lock_filled(slot):
             return None
-        generation, state, header, size = self._words[WORDS * at : WORDS * (at + 1)]
-        fits = header + size <= self._slot_bytes
-        if generation != slot.generation or state != _FILLED or not fits:
+        word = WORDS * at
+        generation, state, header, size = self._words[word : word + WORDS]
+        if generation != slot.generation or state != _FILLED:
             self._release(at)
-            if not fits:
-                raise ValueError(f"{header} + {size} bytes do not fit slot {at} of {self.name}")
             withdrawn = generation == slot.generation and state == _WITHDRAWN
             return Reading(withdrawn=True) if withdrawn else None
-        data = np.frombuffer(self._memory, np.uint8, header + size, start)
+        if header + size > self._slot_bytes:
+            self._release(at)
+            raise ValueError(f"{header} + {size} bytes do not fit slot {at} of {self.name}")
+        start = PAGE + at * self._slot_bytes
+        text = self._memory[start : start + header]
+        data = np.frombuffer(self._memory, np.uint8, size, start + header)
         weakref.finalize(data, self._release, at).atexit = False
-        return Reading(data[:header].tobytes(), data[header:])
+        return Reading(text, data)
 
     def _lock_filled(self, slot: Slot) -> bool:
         """Lock the slot for reading, once its writer has filled it."""
-        until = time.monotonic() + FILL_S
-        while not self._try_lock(slot.at):
-            if time.monotonic() > until or self._words[WORDS * slot.at] != slot.generation:
+        at, until = slot.at, 0.0
+        if at in self._held:
+            return False  # what we hold cannot have been written anew: this came before
+        while not _lock(self._descriptor, fcntl.F_RDLCK, at):
+            now = time.monotonic()
+            until = until or now + FILL_S
+            if now > until or self._words[WORDS * at] != slot.generation:
                 return False
             time.sleep(_POLL_S)
+        self._held.add(at)
         return True
 
-    def _try_lock(self, index: int) -> bool:
-        with self._lock:
-            # A slot that we hold already cannot have been written anew.
-            if index in self._held or not _lock(self._descriptor, fcntl.F_RDLCK, index):
-                return False
-            self._held.add(index)
-            return True
-
-    def _release(self, index: int) -> None:
-        with self._lock, contextlib.suppress(OSError):
-            _lock(self._descriptor, fcntl.F_UNLCK, index)
-            self._held.discard(index)
+    def _release(self, at: int) -> None:
+        # On whatever thread the last array dies. In this order: once the lock is gone the slot may
+        # come again, and must not be found among the held.
+        self._held.discard(at)
+        _lock(self._descriptor, fcntl.F_UNLCK, at)
 
 
 def _pages(size: int) -> int:

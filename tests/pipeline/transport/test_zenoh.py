@@ -153,7 +153,9 @@ def test_a_killed_publisher_is_heard_again_and_leaves_nothing() -> None:
                 lives.append(listener.messages[-1].envelope.epoch)
             assert len(sweep("killed")) == 1
         assert len(set(lives)) == 3
-        assert books(subscriber).refused == {}
+        assert set(books(subscriber).refused) <= {
+            "gone"
+        }  # announced, and killed before it was filled
         assert int(listener.messages[-1].payload.corners[-1]) == INLINE_BYTES - 1
         received_or_lost = books(subscriber).received + books(subscriber).lost
         last = {each.envelope.epoch: each.envelope.number + 1 for each in listener.messages}
