@@ -9,7 +9,7 @@ import typer
 
 from tools.commands.app import app
 from tools.commands.options import AsJson
-from tools.tables.names import PaperTable
+from tools.tables.names import PaperFigure, PaperTable
 
 
 @app.command(
@@ -117,6 +117,15 @@ def evaluate(
             show_default=False,
         ),
     ] = None,
+    figure: Annotated[
+        PaperFigure | None,
+        typer.Option(
+            help="Draw a figure of the paper in the world of the tables: a street seen from above "
+            "(5), what moves in it (6), four maps (13), without what moves (14), in another city "
+            "(15).",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[
         Path, typer.Option(metavar="FOLDER", help="Of a --table: flights, networks, rows.")
     ] = Path("out/tables"),
@@ -137,12 +146,16 @@ def evaluate(
     as_json: AsJson = False,
 ) -> None:
     """Judge labels, masks or a map against the truth: IoU by class, and a map's sharpness."""
-    if table is not None:
-        from tools.tables.run import TableOrder, run_table
+    if table is not None or figure is not None:
+        from tools.tables.run import TableOrder, run_figure, run_table
 
-        if prediction is not None:
-            raise typer.BadParameter("a --table judges no PREDICTION")
-        run_table(TableOrder(table, out, seeds, steps, quick, shared, threads), as_json=as_json)
+        if prediction is not None or (table is not None and figure is not None):
+            raise typer.BadParameter("a --table judges no PREDICTION; ask for one thing at a time")
+        order = TableOrder(out, seeds, steps, quick, shared, threads)
+        if table is not None:
+            run_table(table, order, as_json=as_json)
+        elif figure is not None:
+            run_figure(figure, order)
         return
     if prediction is None:
         raise typer.BadParameter("give a PREDICTION to be judged, or a --table to be made")

@@ -16,8 +16,10 @@ from stages.scan_image import RangeImage
 from stages.taxonomy import load_taxonomy
 from stages.types import Scan
 
-#: Of a panel; a cell becomes two pixels wide and high.
-ROWS, COLUMNS, CELL = 64, 512, 2
+#: Cells of a panel at most, and its width in pixels.
+ROWS, COLUMNS, WIDTH = 64, 512, 1024
+#: Of a return without a label, and of no return.
+UNLABELED, EMPTY = 205, 255
 #: Range that is drawn darkest, m.
 FAR_M = 40.0
 CAPTION = 24
@@ -29,7 +31,8 @@ def range_panels(
     """RGB: the range image, and below it one panel for each labeling (n,) by its caption; None is
     drawn as the caption alone, which says why."""
     taxonomy = load_taxonomy()
-    image = RangeImage((ROWS, COLUMNS), elevation_of(observation))
+    rows, columns = observation.shape or (ROWS, COLUMNS)
+    image = RangeImage((min(rows, ROWS), min(columns, COLUMNS)), elevation_of(observation))
     points = observation.points
     nearest = image.places(
         Scan(points, observation.remission, None, observation.shape, observation.sensor)
@@ -37,7 +40,7 @@ def range_panels(
     distance = np.where(nearest >= 0, ranges(as_input(points))[nearest], 0)
     near = np.clip(distance / FAR_M, 0, 1) ** 0.5
     colors = cv2.applyColorMap((255 * (1 - near)).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
-    colors[distance <= 0] = 255
+    colors[distance <= 0] = EMPTY
     panels = [_panel("range, near is light", np.ascontiguousarray(colors[..., ::-1]))]
     seen: set[int] = set()
     for caption, labels in labelings.items():
@@ -47,18 +50,18 @@ def range_panels(
         ids = np.where(nearest >= 0, labels[nearest], 0)
         seen |= set(np.unique(ids).tolist())
         picture = taxonomy.colors[ids]
-        picture[ids == 0] = 235  # a return without a label
-        picture[distance <= 0] = 255
+        picture[ids == 0] = UNLABELED
+        picture[distance <= 0] = EMPTY
         panels.append(_panel(caption, picture))
     shown = sorted(seen - {0})
     legend = [(taxonomy.names[k], taxonomy.colors[k].tolist()) for k in shown]
-    return add_legend(np.concatenate(panels), [*legend, ("no label", (235, 235, 235))])
+    return add_legend(np.concatenate(panels), [*legend, ("no label", (UNLABELED,) * 3)])
 
 
 def elevation_of(observation: Observation) -> tuple[float, float]:
     """The lowest and the highest elevation of a scan, rad: a sensor's field of view."""
-    if observation.shape is not None and observation.shape[0] == 128:
-        return (-np.pi / 4, np.pi / 4)  # an OS0, whose rows would else be placed by few returns
+    if observation.shape is not None:
+        return (-np.pi / 4, np.pi / 4)  # an OS0; few returns would tell less of its rows
     distance = ranges(as_input(observation.points))
     far = distance > 1.0
     if not far.any():
@@ -69,10 +72,11 @@ def elevation_of(observation: Observation) -> tuple[float, float]:
 
 
 def _panel(caption: str, picture: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
-    bar = np.full((CAPTION, COLUMNS * CELL, 3), PAPER, dtype=np.uint8)
+    bar = np.full((CAPTION, WIDTH, 3), PAPER, dtype=np.uint8)
     place = (6, CAPTION - 8)
     cv2.putText(bar, caption, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
     if picture is None:
         return bar
-    large = picture.repeat(CELL, axis=0).repeat(CELL, axis=1)
-    return np.concatenate([bar, large])
+    cell = WIDTH // picture.shape[1]
+    size = (WIDTH, picture.shape[0] * cell)
+    return np.concatenate([bar, cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST)])

@@ -14,9 +14,9 @@ from stages.sinks.whole_file import whole_file
 from tools.propagation.settings import Teacher
 
 CAPTIONS = {
-    Teacher.OVERLAY.value: "each scan's own images",
-    Teacher.CAMERA_MAP.value: "the camera-only map",
-    Teacher.FUSED_MAP.value: "the fused map",
+    Teacher.OVERLAY.value: "own images",
+    Teacher.CAMERA_MAP.value: "camera map",
+    Teacher.FUSED_MAP.value: "fused map",
 }
 STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em}"
@@ -27,9 +27,13 @@ STYLE = (
 
 def print_report(report: Mapping[str, Any], console: Console) -> None:
     """The shares and where everything lies."""
-    table = Table(box=None, title="who labels how much of the returns", title_justify="left")
+    table = Table(
+        box=None,
+        title="who labels which share of the returns; how much of it is right, IoU by class",
+        title_justify="left",
+    )
     for column, *more in _rows(report)[:1]:
-        table.add_column(column)
+        table.add_column(column, no_wrap=True)
         for name in more:
             table.add_column(name, justify="right")
     for row in _rows(report)[1:]:
@@ -67,7 +71,7 @@ def _rows(report: Mapping[str, Any]) -> list[list[str]]:
     """The heading and a row per teacher."""
     teachers = report.get("teachers", {})
     judged = any("right_share" in told for told in teachers.values())
-    rows = [["labeled by", "of the returns", *(["of these right", *_groups(teachers)] * judged)]]
+    rows = [["labeled by", "share", *(["right", *_groups(teachers)] * judged)]]
     for name, told in teachers.items():
         row = [CAPTIONS.get(name, name), f"{100 * told['labeled_share']:.1f} %"]
         if judged:

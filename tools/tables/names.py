@@ -1,4 +1,4 @@
-"""The tables that can be made anew."""
+"""The tables and figures that can be made anew."""
 
 from __future__ import annotations
 
@@ -13,3 +13,13 @@ class PaperTable(StrEnum):
     ABLATION = "5"
     MAPS = "6"
     REAL = "real"
+
+
+class PaperFigure(StrEnum):
+    """By the paper's numbers."""
+
+    VIEW = "5"
+    WINDOWS = "6"
+    MAPS = "13"
+    STILL = "14"
+    SECOND = "15"

@@ -30,6 +30,7 @@ from tools.tables.table import Line, Table
 from tools.tables.world import JudgedScan, World
 
 if TYPE_CHECKING:
+    from tools.tables.names import PaperTable
     from tools.tables.run import TableOrder
 
 VOXEL_M = 0.25
@@ -40,18 +41,22 @@ WHY = (
 )
 
 
-def simulated_tables(order: TableOrder, console: Console) -> list[Table]:
-    """One table for each judged flight. Raises OverflightError, `tools.train.loop.Interrupted`."""
+def world_of(order: TableOrder, console: Console) -> tuple[World, Networks, int]:
+    """The world and the networks of an order, and how long each of these learns."""
     name = "quick" if order.quick else "full"
     scale = scale_named(name)
     steps = order.steps or scale.steps
+    world = World(order.output / name, scale, console)
+    return world, Networks(world, steps, order.threads, console), steps
+
+
+def simulated_tables(table: PaperTable, order: TableOrder, console: Console) -> list[Table]:
+    """One table for each judged flight. Raises OverflightError, `tools.train.loop.Interrupted`."""
+    world, networks, steps = world_of(order, console)
     seeds = 1 if order.quick else order.seeds
-    folder = order.output / name
-    world = World(folder, scale, console)
-    networks = Networks(world, steps, order.threads, console)
-    conditions = {"scale": scale.model_dump(mode="json"), "steps": steps}
-    rows = Rows(folder, conditions, console)
-    plan = plans().tables[order.table.value]
+    conditions = {"scale": world.scale.model_dump(mode="json"), "steps": steps}
+    rows = Rows(world.folder, conditions, console)
+    plan = plans().tables[table.value]
     verdicts: dict[tuple[str, str], list[Verdict]] = {}
     for seed in range(seeds):
         for key, row in plan.rows.items():
@@ -61,9 +66,9 @@ def simulated_tables(order: TableOrder, console: Console) -> list[Table]:
                 verdicts.setdefault((key, flight), []).append(verdict)
     return [
         Table(
-            f"Table {order.table.value}: {plan.title} ({told})",
+            f"Table {table.value}: {plan.title} ({told})",
             [_line(row, verdicts[key, flight]) for key, row in plan.rows.items()],
-            (*_conditions(scale, steps, name), WHY),
+            (*_conditions(world.scale, steps, quick=order.quick), WHY),
         )
         for flight, told in FLIGHTS.items()
     ]
@@ -76,12 +81,12 @@ def _line(row: RowPlan, verdicts: Sequence[Verdict]) -> Line:
     return Line(row.title, verdicts, row.mean, note)
 
 
-def _conditions(scale: Scale, steps: int, name: str) -> list[str]:
+def _conditions(scale: Scale, steps: int, *, quick: bool) -> list[str]:
     told = [
-        f"scale {name}: {steps} steps of {scale.batch} half scans, SalsaNext x {scale.width:g}, "
+        f"{steps} steps of {scale.batch} half scans, SalsaNext x {scale.width:g}, "
         f"flights of {scale.flight_a.preset['duration_s']:g} s"
     ]
-    if name == "quick":
+    if quick:
         told.append("--quick shows that the table can be made; its networks have hardly learned")
     return told
 
