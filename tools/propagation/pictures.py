@@ -19,7 +19,7 @@ from stages.types import Scan
 #: Cells of a panel at most, and its width in pixels.
 ROWS, COLUMNS, WIDTH = 64, 512, 1024
 #: Of a return without a label, and of no return.
-UNLABELED, EMPTY = 205, 255
+UNLABELED, EMPTY = 228, 255
 #: Range that is drawn darkest, m.
 FAR_M = 40.0
 CAPTION = 24

@@ -87,7 +87,9 @@ def draw_maps(world: World, networks: Networks, flight: str, folder: Path) -> li
                 min_confidence=CONFIDENCE,
             )
             label, _, _ = read_out(voxels.log_scores[rows], classes)
-            target = folder / f"figure-{figure}-{name}{'' if figure == number else '-' + flight}.png"
+            target = (
+                folder / f"figure-{figure}-{name}{'' if figure == number else '-' + flight}.png"
+            )
             written.append(_write(target, _picture(voxels.indices[rows], label)))
     return written
 
