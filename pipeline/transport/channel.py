@@ -52,9 +52,13 @@ class Channel:
     local: bool = True  #: all ends on one host: large payloads go by shared memory
     block: bool = False  #: the publisher waits for a slow network or reader; else latest wins
     max_bytes: int = MAX_BYTES  #: the most that one payload may take
-    slots: int = 4  #: of the ring, at first: messages under way or held by readers
-    ring_bytes: int = 256 << 20  #: the most that the ring grows to where readers hold many
-    depth: int = 4  #: messages that a reader lets wait before the oldest is lost
+    #: Of the ring, at first; it grows where readers hold them. A slot that no reader has come to
+    #: is written anew after so many messages: where none may be lost, more than can be under way.
+    slots: int = 4
+    ring_bytes: int = 256 << 20  #: the most that the ring grows to
+    #: Messages that a reader lets wait before the oldest is lost, or the publisher waits: 160 ms of
+    #: poses at 200 Hz, which is longer than what usually holds up a thread.
+    depth: int = 32
     zstd: int | None = None  #: level for payloads that go whole; None: as they are
     compressor: Compressor | None = None
 

@@ -7,6 +7,7 @@ this process holds the other end. Long, so only on request: `python -m tools.ben
 from __future__ import annotations
 
 import multiprocessing
+import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from multiprocessing.process import BaseProcess
 
 import numpy as np
 import psutil
+import typer
 
 from pipeline.message import Message
 from pipeline.transport.channel import Arrival
@@ -63,9 +65,10 @@ def measure(effort: Effort) -> list[Row]:
             for each in rounds:
                 each.kill_one()
         before = Held.now()
-        for _ in range(kills // 2):
-            for each in rounds:
-                each.kill_one()
+        with typer.progressbar(range(kills // 2), label="kills / 2", file=sys.stderr) as progress:
+            for _ in progress:
+                for each in rounds:
+                    each.kill_one()
         time.sleep(1.0)  # Zenoh notices the last death by itself
         after = Held.now()
     finally:
