@@ -25,6 +25,7 @@ PACKAGES = ("pipeline", "accelerators", "stages", "graphs", "tools")
 #: In the order of `--help`: fly, look at what flew, prepare, look things up.
 COMMANDS = (
     *("run", "top", "check", "validate", "plan", "profile", "compare", "doctor"),
+    *("info", "explain"),
     *("evaluate", "evaluate_detections", "statistics", "simulate", "propagate"),
     *("graph", "inspect", "stages", "devices", "schema", "version"),
 )

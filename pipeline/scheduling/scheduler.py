@@ -19,6 +19,7 @@ from pipeline.message import Message, Sample
 from pipeline.scheduling.books import Books
 from pipeline.scheduling.bounds import INFINITY, OutputPort
 from pipeline.scheduling.devices import HISTORY, Device
+from pipeline.scheduling.edges import Edge
 from pipeline.scheduling.events import (
     Check,
     InputSet,
@@ -32,8 +33,9 @@ from pipeline.scheduling.events import (
 )
 from pipeline.scheduling.stages import ActiveRun, StageState
 from pipeline.scheduling.streams import Streams
-from pipeline.scheduling.sync import WaitingSet
+from pipeline.scheduling.sync import Slot, WaitingSet
 from pipeline.scheduling.topology import OnError, Port, Topology
+from pipeline.scheduling.waits import Wait, waits_of
 from pipeline.scheduling.wanted import Verdict
 
 
@@ -216,6 +218,17 @@ class Scheduler(Streams):
     def stopped(self, stage: str) -> bool:
         """The stage stopped after a failure."""
         return self._by_name[stage].stopped
+
+    def waits(self, stage: str) -> list[Wait]:
+        """The triggers that a stage holds, with what each waits for, the next one first."""
+        state = self._by_name[stage]
+        blocked = self._blocked(state)
+        return list(waits_of(state, blocked=blocked, workers=self._free_workers))
+
+    def slots(self, stage: str) -> Sequence[tuple[Edge, Slot]]:
+        """The sync edges of a stage with their slots, in the order of the file; read only."""
+        edges = self._by_name[stage].synced_edges
+        return [(edge, edge.slot) for edge in edges if edge.slot is not None]
 
     def ledger(self) -> dict[str, dict[str, Any]]:
         """Every edge's book by ``stage/port->stage/input``."""

@@ -308,6 +308,11 @@ class Synchronizer:
                 return False
         return True
 
+    @property
+    def blocker(self) -> Slot | None:
+        """What the oldest set waits for, as it was judged last."""
+        return self._blocker if self.waiting else None
+
     def next_deadline(self) -> int:
         """When the slot that the oldest set waits for times out; INFINITY: no such instant."""
         if self._offline or not self.waiting or self._blocker is None:
