@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from pipeline.errors import DataError
 from pipeline.message import Message
 from pipeline.recording.flight import Event, Flight
 from pipeline.recording.reenactment import Reenactment
@@ -129,7 +130,10 @@ class Explanation:
 
 def explain(flight: Flight, stage: str) -> Explanation:
     """Step through a flight and tell of one stage. Raises DataError."""
-    node = flight.manifest.topology.stage(stage)
+    nodes = {node.name: node for node in flight.manifest.topology.stages if not node.is_source}
+    node = nodes.get(stage)
+    if node is None:
+        raise DataError(f"{flight.path}: no stage '{stage}' with inputs; there are {[*nodes]}")
     watch = _Watch(node)
     manifest = flight.manifest
     reenactment = Reenactment(manifest.topology, offline=manifest.offline, observer=watch)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Generator
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -114,13 +114,32 @@ def _page(data: Any) -> Page:
     )
 
 
+#: What may follow from an event, with the kinds of its parts.
+_FOLLOWED: Mapping[str, tuple[type, ...]] = {
+    "out": (str, str, int, int),
+    "lost": (str, str, int, int),
+    "refused": (str, str, int, str),
+    "drop": (str, str, str, str, int, str),
+    "set": (str, int, list, list),
+    "start": (str, int, str, object),
+    "check": (str,),
+    "end": (str, int, str),
+    "told": (str, str, str),
+}
+
+
 def _event(row: Any) -> Event:
     number, name, now, said, followed = row
-    if not (isinstance(number, int) and isinstance(name, str) and isinstance(now, int)):
+    if not _are((number, name, now, said, followed), (int, str, int, list, list)):
         raise ValueError(f"an event {str(row)[:40]}")
-    if not (isinstance(said, list) and isinstance(followed, list)):
-        raise ValueError(f"an event {str(row)[:40]}")
+    for kind, *parts in followed:
+        if not _are(parts, _FOLLOWED[kind]):
+            raise ValueError(f"what followed {str([kind, *parts])[:40]}")
     return Event(number, name, now, frozen(said), frozen(followed))
+
+
+def _are(values: Sequence[Any], kinds: tuple[type, ...]) -> bool:
+    return len(values) == len(kinds) and all(map(isinstance, values, kinds))
 
 
 def _lost(entry: Any) -> Lost:

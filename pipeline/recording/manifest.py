@@ -10,7 +10,7 @@ from typing import Any, Self
 from pydantic import TypeAdapter, ValidationError
 
 from pipeline.errors import DataError
-from pipeline.scheduling.topology import Topology
+from pipeline.scheduling.topology import Port, Sync, Topology
 
 #: The name of the file's note, and of the form of what is in it.
 NOTE = "overflight"
@@ -59,7 +59,7 @@ class Manifest:
         texts = ("graph", "text", "process", "started")
         try:
             values: dict[str, Any] = {key: note[key] for key in texts}
-            values["topology"] = _TOPOLOGY.validate_json(note["topology"])
+            values["topology"] = _checked(_TOPOLOGY.validate_json(note["topology"]))
             for key in ("offline", "options", "executors", "versions", "machine"):
                 values[key] = json.loads(note[key])
         except (KeyError, ValueError, ValidationError) as error:
@@ -67,3 +67,19 @@ class Manifest:
                 f"damaged: its description of the run cannot be read ({error})"
             ) from None
         return cls(**values)
+
+
+def _checked(topology: Topology) -> Topology:
+    """The same, once it is sure that a scheduler can be made of it. Raises ValueError."""
+    ports = {Port(node.name, name) for node in topology.stages for name in node.outputs}
+    names = {node.name for node in topology.stages}
+    if len(names) != len(topology.stages) or not 0 < topology.workers < 10_000:
+        raise ValueError("two stages have one name, or there are no workers")
+    for node in topology.stages:
+        triggers = [entry for entry in node.inputs if entry.sync is Sync.TRIGGER]
+        if node.inputs and (len(triggers) != 1 or len(triggers[0].sources) != 1):
+            raise ValueError(f"{node.name} has not one trigger")
+        for entry in node.inputs:
+            if not entry.sources or not ports.issuperset(entry.sources):
+                raise ValueError(f"{node.name}.{entry.name} comes from nowhere")
+    return topology

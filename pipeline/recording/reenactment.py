@@ -39,7 +39,11 @@ class Reenactment:
         self._row: Row = ()
         self._steps = 0
         self.running: dict[int, Start] = {}  #: steps that were started and are not over, by number
-        self.scheduler = TappedScheduler(topology, self, offline=offline, observer=observer)
+        try:
+            self.scheduler = TappedScheduler(topology, self, offline=offline, observer=observer)
+        except Exception as error:  # of rules that no graph file could give
+            what = f"the recorded graph cannot be: {type(error).__name__}: {error}"
+            raise DataError(what) from None
 
     # ------------------------------------------------------------------ as the tap's keeper
 
@@ -65,7 +69,7 @@ class Reenactment:
         """
         try:
             actions = self._bring(event, payload, outputs)
-        except (LookupError, TypeError, ValueError, AssertionError) as error:
+        except Exception as error:  # whatever an event that cannot be does to the scheduler
             raise DataError(
                 f"event {event.number} ({event.name} at {event.now / 1e9:.6f} s) does not fit the "
                 f"recorded graph: {type(error).__name__}: {error}"
