@@ -26,9 +26,9 @@ stages:
            options: {width: 64, height: 32, rate_hz: $rate, count: 15, seed: 4}}
   lidar: {use: stages.sources.emulated:EmulatedLidar, options: {rows: 4, columns: 32, count: 5}}
   pair:
-    use: my_pairing:Pair
+    use: recorded_pairing:Pair
     inputs: {scan: lidar, image: {from: camera, sync: nearest, tolerance_ms: 40}}
-  picture: {use: my_pairing:Write, options: {folder: $out/numbers}, inputs: {pair: pair}}
+  picture: {use: recorded_pairing:Write, options: {folder: $out/numbers}, inputs: {pair: pair}}
 """
 STAGES = """\
 from dataclasses import dataclass
@@ -72,7 +72,7 @@ class Write(Stage):
 def flown(tmp_path: Path, overflight: Overflight, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A recorded run, offline, with its graph beside it."""
     (tmp_path / "pairs.yaml").write_text(GRAPH)
-    (tmp_path / "my_pairing.py").write_text(STAGES)
+    (tmp_path / "recorded_pairing.py").write_text(STAGES)
     monkeypatch.syspath_prepend(str(tmp_path))
     done = overflight(
         *("run", "pairs.yaml", "--set", "parameters.rate=15", "--speed", "max", "--quiet"),
@@ -202,7 +202,7 @@ def test_wrong_words_have_a_way_out(flown: Path, overflight: Overflight) -> None
     assert "did you mean 'camera'" in words_of(done.err)
     assert "is no flight" in words_of(overflight("run", "pairs.yaml", "--as-recorded").err)
     for words in (["info"], ["explain", "--stage", "pair"], ["run", "--as-recorded"]):
-        done = overflight(words[0], "my_pairing.py", *words[1:])
+        done = overflight(words[0], "recorded_pairing.py", *words[1:])
         assert done.code == 2
         assert "Traceback" not in done.err
 
