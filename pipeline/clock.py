@@ -21,16 +21,18 @@ class ScaledClock:
     first instant as origin it replays that recording.
     """
 
-    def __init__(self, origin: int, speed: float = 1.0) -> None:
+    def __init__(self, origin: int, speed: float = 1.0, *, began_ns: int | None = None) -> None:
+        """`began_ns`: when it began, on this host's monotonic clock, where others share it."""
         if not speed > 0:
             raise ValueError(f"speed must be above 0, not {speed}")
         self._origin = origin
         self._speed = speed
+        self._shared_ns = began_ns
         self.start()
 
     def start(self) -> None:
-        """Begin (again) at the origin."""
-        self._start = time.monotonic_ns()
+        """Begin (again) at the origin; a shared clock has begun when it did."""
+        self._start = time.monotonic_ns() if self._shared_ns is None else self._shared_ns
 
     def now(self) -> int:
         elapsed = time.monotonic_ns() - self._start

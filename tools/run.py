@@ -14,12 +14,18 @@ import typer
 from rich.console import Console
 
 from pipeline.drivers.run import run_graph
+from pipeline.graph.graph import Graph
+from pipeline.graph.placing import HERE
 from pipeline.measuring.board import Board
 from pipeline.measuring.expectations import failed, verdicts
 from pipeline.measuring.trace import CAPACITY, Trace
+from pipeline.processes.supervisor import Supervisor
 from pipeline.recording.flight import Flight
 from pipeline.recording.mcap import Compression
+from pipeline.scheduling.partition import MAIN
 from tools.check import verdict_table
+from tools.part_process import MODULE as PART_MODULE
+from tools.part_process import opening
 from tools.recording.flight_graph import GraphFiles, on_flight
 from tools.recording.record import recording
 from tools.validate import print_warnings
@@ -44,6 +50,7 @@ def run_file(
     record: Path | None = None,
     record_edges: Sequence[str] = (),
     record_compression: Compression = "lz4",
+    host: str | None = None,
     as_json: bool = False,
     quiet: bool = False,
 ) -> Sequence[str]:
@@ -63,6 +70,14 @@ def run_file(
         make_room_for(trace, "trace")
     if record is not None:
         make_room_for(record, "recording")
+    alone = speed is None or flight is not None
+    processes = places(graph, host, alone=alone)
+    if len(processes) > 1 and (trace is not None or record is not None):
+        option = "--trace" if trace is not None else "--record"
+        raise typer.BadParameter(
+            f"{option} notes one process, and this graph runs in {len(processes)} "
+            f"({', '.join(processes)}); add --set 'stages.NAME.process=main' for its stages"
+        )
     started = time.time()
     recorded = None if trace is None else Trace(trace_entries)
     try:
@@ -78,16 +93,30 @@ def run_file(
                     compression=record_compression,
                 )
                 recorder = stack.enter_context(kept)
-            result = run_graph(
-                graph,
-                catalog,
-                speed=speed,
-                duration_s=duration_s,
-                progress=None if quiet else stack.enter_context(progress),
-                trace=recorded,
-                board=_open_board(stack),
-                recorder=recorder,
-            )
+            show = None if quiet else stack.enter_context(progress)
+            board = _open_board(stack)
+            if speed is not None and not alone and (len(processes) > 1 or host is not None):
+                supervisor = Supervisor(
+                    graph,
+                    PART_MODULE,
+                    opening(path, settings, overlays, models, out),
+                    speed=speed,
+                    host=host,
+                    board=board,
+                    progress=show,
+                )
+                result = supervisor.run(duration_s)
+            else:
+                result = run_graph(
+                    graph,
+                    catalog,
+                    speed=speed,
+                    duration_s=duration_s,
+                    progress=show,
+                    trace=recorded,
+                    board=board,
+                    recorder=recorder,
+                )
     finally:  # a run that ended badly is the one to look at
         if recorded is not None and trace is not None and recorded.recorded:
             if not quiet:
@@ -119,6 +148,24 @@ def run_file(
                 told += f"; {recorded.overwritten} older ones were overwritten (--trace-entries)"
             console.print(f"{told}. Open it at ui.perfetto.dev.", highlight=False, soft_wrap=True)
     return (*result.failures, *failed(judged))
+
+
+def places(graph: Graph, host: str | None, *, alone: bool) -> Sequence[str]:
+    """The processes that this command starts. Raises BadParameter where --host does not fit.
+
+    `alone`: offline, and when a flight is replayed, all stages share one process; results do not
+    depend on where they run.
+    """
+    hosts = dict.fromkeys(process.host for process in graph.processes.values())
+    if host is not None and host not in hosts:
+        known = ", ".join(hosts) if HERE not in hosts else "none: its processes name no host"
+        raise typer.BadParameter(f"--host {host}: the graph's hosts are {known}")
+    if host is None and len(hosts) > 1 and not alone:
+        raise typer.BadParameter(
+            f"this graph runs on {len(hosts)} hosts; say which one this is: "
+            + " or ".join(f"--host {name}" for name in hosts)
+        )
+    return (MAIN,) if alone else graph.placement.processes(host)
 
 
 def make_room_for(file: Path, what: str = "report") -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from pipeline.drivers.sealing import seal
 from pipeline.errors import StageError
@@ -14,6 +14,21 @@ from pipeline.model import BoundModel, Native, Tensors
 from pipeline.scheduling.events import Output, Run, Step
 from pipeline.scheduling.topology import StageNode
 from pipeline.stage import Stage
+
+
+class Pending:
+    """What a step answers whose run ends later, when the driver is told (`LiveDriver.sent`)."""
+
+
+PENDING = Pending()
+
+
+class Executor(Protocol):
+    """Executes the steps of one stage."""
+
+    def execute(self, run: Run, step: Step) -> Sequence[Output] | Pending:
+        """Run one step; returns what the run says after its last step, else nothing."""
+        ...
 
 
 @dataclass(slots=True)

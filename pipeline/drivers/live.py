@@ -20,16 +20,17 @@ from queue import SimpleQueue
 from typing import Any, Protocol
 
 from pipeline.clock import ScaledClock
-from pipeline.drivers.executor import Worker
+from pipeline.drivers.executor import Executor, Pending
 from pipeline.drivers.sealing import seal
 from pipeline.errors import DeviceError
 from pipeline.measuring.ending import Ended
 from pipeline.measuring.profiler import Spent
 from pipeline.measuring.statistics import OnFailure, Statistics
 from pipeline.message import Message
-from pipeline.scheduling.events import Check, Output, Start, Step
+from pipeline.scheduling.bounds import INFINITY
+from pipeline.scheduling.events import Bound, Check, Notice, Output, Run, Start, Step, Took
 from pipeline.scheduling.scheduler import Scheduler
-from pipeline.scheduling.topology import Port, Topology
+from pipeline.scheduling.topology import Port, Role, Topology
 
 #: How long runs in flight may go on after a stop before they are given up.
 DRAIN_S = 1.5
@@ -43,6 +44,9 @@ SWITCH_INTERVAL_S = 0.0005
 SAMPLE = 8
 
 
+_Action = Start | Check | Notice
+
+
 class Guard(Protocol):
     """What the driver asks of the devices themselves."""
 
@@ -52,6 +56,18 @@ class Guard(Protocol):
 
     def check(self, name: str) -> None:
         """Make a lost device work again, on its own thread; raises while it does not."""
+        ...
+
+
+class Outside(Protocol):
+    """The other processes of the graph."""
+
+    def tell(self, notice: Notice) -> None:
+        """Tell them; must not block."""
+        ...
+
+    def tick(self) -> None:
+        """Called a few times a second."""
         ...
 
 
@@ -72,14 +88,16 @@ class LiveDriver:
         self,
         topology: Topology,
         scheduler: Scheduler,
-        workers: Mapping[str, Worker],
+        workers: Mapping[str, Executor],
         sources: Mapping[str, Iterator[Message[Any]]],
         clock: ScaledClock,
         guard: Guard,
         statistics: Statistics,
         on_failure: OnFailure,
+        outside: Outside | None = None,
     ) -> None:
         self._scheduler = scheduler
+        self._outside = outside
         self._workers = workers
         self._sources = sources
         self._clock = clock
@@ -92,6 +110,13 @@ class LiveDriver:
         self._unblocked = threading.Condition(self._lock)  #: sources: room in a blocked queue
         self._armed: int | None = None  #: the deadline that the main thread sleeps for
         self._stop = threading.Event()
+        #: Streams of other processes that may still bring messages.
+        self._remote = {
+            Port(node.name, port)
+            for node in topology.stages
+            if node.role is Role.REMOTE
+            for port in node.outputs
+        }
         self._open_sources = set(sources)
         self._blocked_sources = 0
         self._steps = 0
@@ -156,6 +181,8 @@ class LiveDriver:
                 next_tick = now + TICK_S
                 with self._profiler.showing():
                     tick()
+                if self._outside is not None:
+                    self._outside.tick()
             if now >= next_collect:
                 # Reference counting frees nearly everything. The rest is collected here, on the
                 # thread that nobody waits for: all of it twice a minute, what is young each second.
@@ -163,7 +190,7 @@ class LiveDriver:
                 collected += 1
                 gc.collect(2 if collected % 30 == 0 else 1)
             wait = next_tick - now if end is None else min(next_tick, end) - now
-            actions: Sequence[Start | Check] = ()
+            actions: Sequence[_Action] = ()
             with self._changed:
                 if self._over():
                     return Ended.SOURCES
@@ -179,13 +206,14 @@ class LiveDriver:
         return Ended.STOPPED
 
     def _over(self) -> bool:
-        return not self._open_sources and self._scheduler.quiescent()
+        return not (self._open_sources or self._remote) and self._scheduler.quiescent()
 
     def _shut_down(self) -> None:
         self._stop.set()
         with self._lock:
-            self._scheduler.stop(self._clock.now())
+            actions = self._hand_out(self._scheduler.stop(self._clock.now()), None)
             self._unblocked.notify_all()
+        self._run_here(actions, None)
         deadline = time.monotonic() + DRAIN_S
         with self._changed:
             while not self._scheduler.quiescent() and time.monotonic() < deadline:
@@ -259,6 +287,32 @@ class LiveDriver:
         self._run_here(starts, None)
         return True
 
+    # ------------------------------------------------------------------ other processes
+
+    def arrived(self, port: Port, message: Message[Any]) -> None:
+        """Another process brings a message; on a thread of the transport."""
+        self._brought("arrived", port, message)
+
+    def bounded(self, port: Port, bound: int) -> None:
+        """Another process says how far a stream is; `INFINITY` ends it."""
+        with self._lock:
+            if bound >= INFINITY:
+                self._remote.discard(port)
+        self._brought("bounded", port, bound)
+
+    def sent(self, runs: Sequence[Run]) -> None:
+        """These runs of senders, whose step was `PENDING`, are over."""
+        for run in runs:
+            with self._lock:
+                starts = self._hand_out(self._step("step_done", run, self._clock.now(), ()), None)
+                self._changed.notify()
+            self._run_here(starts, None)
+
+    def _brought(self, event: str, port: Port, what: Any) -> None:
+        with self._lock:
+            starts = self._hand_out(self._step(event, port, what, self._clock.now()), None)
+        self._run_here(starts, None)
+
     # ------------------------------------------------------------------ workers
 
     def _work(self, me: _Thread) -> None:
@@ -269,7 +323,7 @@ class LiveDriver:
             except BaseException as error:
                 self._crashed(error)
 
-    def _run_here(self, actions: Sequence[Start | Check], me: _Thread | None) -> None:
+    def _run_here(self, actions: Sequence[_Action], me: _Thread | None) -> None:
         """Execute steps on this thread, and what they start on it, until nothing is left."""
         todo = deque(actions)
         while todo:
@@ -277,17 +331,24 @@ class LiveDriver:
             if isinstance(action, Check):
                 todo.extend(self._check_here(action.device, me))
                 continue
+            if isinstance(action, (Bound, Took)):
+                assert self._outside is not None
+                self._outside.tell(action)
+                continue
             run = action.run
             before = self._profiler.read(run.device if action.step is Step.INFER else None)
             failure: tuple[Exception, str] | None = None
             outputs: tuple[Output, ...] = ()
             try:
-                outputs = tuple(self._workers[run.stage].execute(run, action.step))
+                said = self._workers[run.stage].execute(run, action.step)
+                outputs = () if isinstance(said, Pending) else tuple(said)
             except Exception as error:
                 failure = error, traceback.format_exc()
             spent = self._profiler.since(before)
             with self._lock:
                 self._statistics.spent(run.stage, action.step, run.device, spent)
+                if failure is None and isinstance(said, Pending):
+                    continue
                 if failure is None:
                     starts = self._step("step_done", run, self._clock.now(), outputs)
                 else:
@@ -305,7 +366,7 @@ class LiveDriver:
             self._statistics.event("device_error", str(run.device), str(error), now)
         return self._step("device_failed" if lost else "step_failed", run, now)
 
-    def _check_here(self, device: str, me: _Thread | None) -> list[Start]:
+    def _check_here(self, device: str, me: _Thread | None) -> list[_Action]:
         try:
             self._guard.check(device)
         except Exception as error:  # whatever a broken runtime raises, the device is not back
@@ -329,15 +390,15 @@ class LiveDriver:
         self._statistics.scheduler_ns += SAMPLE * (time.thread_time_ns() - before)
         return starts
 
-    def _hand_out(self, actions: Sequence[Start | Check], me: _Thread | None) -> list[Start]:
-        """Give each step to its thread (under the lock); returns those that this thread executes.
+    def _hand_out(self, actions: Sequence[Start | Check], me: _Thread | None) -> list[_Action]:
+        """Give each step to its thread (under the lock); returns what this thread executes.
 
         `me` is the thread whose step just ended: it is free, so it keeps a step it can execute.
         """
         if me is not None and not me.is_device:
             self._idle.append(me)
-        inline: list[Start] = []
-        own: list[Start] = []
+        inline: list[_Action] = []
+        own: list[_Action] = []
         for action in actions:
             if isinstance(action, Check):
                 self._guard.interrupt(action.device)
@@ -352,8 +413,10 @@ class LiveDriver:
             self._unblocked.notify_all()
         wakeup = self._scheduler.next_wakeup()
         earlier = wakeup is not None and (self._armed is None or wakeup < self._armed)
-        if earlier or (not self._open_sources and self._scheduler.quiescent()):
+        if earlier or self._over():
             self._changed.notify()
+        if self._outside is not None:
+            inline += self._scheduler.notices()
         return [*inline, *own]
 
     def _thread_for(self, start: Start, me: _Thread | None) -> _Thread:

@@ -8,29 +8,30 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import dropwhile
 from statistics import median_low
 from typing import TYPE_CHECKING, Any
 
 from pipeline.clock import Clock, ManualClock, ScaledClock
 from pipeline.drivers.devices import Devices
-from pipeline.drivers.executor import Worker
+from pipeline.drivers.executor import Executor, Worker
 from pipeline.drivers.live import LiveDriver
 from pipeline.drivers.offline import OfflineDriver
 from pipeline.errors import OverflightError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph
 from pipeline.measuring.announcements import logged_as_events
-from pipeline.measuring.board import Board
 from pipeline.measuring.ending import Ended, stopped_by_signals
 from pipeline.measuring.observers import observed_by
 from pipeline.measuring.profiler import Profiler
 from pipeline.measuring.report import build_report
 from pipeline.measuring.statistics import Event, Statistics
-from pipeline.measuring.status import LOSSES, Status
+from pipeline.measuring.status import LOSSES, Pages, Status
 from pipeline.measuring.trace import Trace, TracedWorker
 from pipeline.message import Message
+from pipeline.processes.joint import Joint
 from pipeline.scheduling.scheduler import Scheduler
-from pipeline.scheduling.topology import Port
+from pipeline.scheduling.topology import Port, Role
 from pipeline.stage import ModelStage, Source, Stage
 
 if TYPE_CHECKING:
@@ -75,15 +76,17 @@ def run_graph(
     progress: Callable[[Snapshot], None] | None = None,
     profiler: Profiler | None = None,
     trace: Trace | None = None,
-    board: Board | None = None,
+    board: Pages | None = None,
     recorder: Recorder | None = None,
+    joint: Joint | None = None,
 ) -> RunResult:
     """Run a graph to the end of its sources, for `duration_s`, or to Ctrl-C.
 
     `speed` is graph time over real time; None is offline: as fast as possible, nothing dropped,
     the same results every time. A `trace` notes what was done when; on a `board` other processes
-    see how it stands; a `recorder` (entered by the caller) writes messages and decisions. Raises
-    OverflightError where a device or stage does not open.
+    see how it stands; a `recorder` (entered by the caller) writes messages and decisions. `joint`
+    ties a part of a graph, run live, to the other processes. Raises OverflightError where a device
+    or stage does not open.
     """
     offline = speed is None
     statistics = Statistics(offline=offline, profiler=profiler)
@@ -128,12 +131,24 @@ def run_graph(
         workers = {
             node.name: worker(node, stages[node.name], devices.models(node.name))
             for node in graph.topology.stages
+            if node.role is Role.STAGE
         }
+        executors: Mapping[str, Executor] = workers
+        if joint is not None:
+            with profiler.building("transport"):
+                joint.open()
+            joint.exchange.connect()
+            executors = {**workers, **joint.exchange.senders}
         sources: dict[str, Iterator[Message[Any]]] = {
             name: stage.messages() for name, stage in stages.items() if isinstance(stage, Source)
         }
+        origin: int | None = None
         if speed is not None:
             sources, origin = _first_arrivals(sources)
+        go = None
+        if joint is not None:
+            with profiler.building("transport"):  # its threads come with the others' connections
+                go = joint.ready(origin)
         if trace is not None:
             sources = {name: trace.samples(name, source) for name, source in sources.items()}
         driver: LiveDriver | OfflineDriver
@@ -143,16 +158,20 @@ def run_graph(
                 graph.topology, scheduler, workers, sources, clock, statistics, on_failure
             )
         else:
-            clock = ScaledClock(origin, speed)
+            clock = ScaledClock(origin or 0, speed)
+            if go is not None:
+                clock = ScaledClock(go.origin, speed, began_ns=go.began_ns)
+                sources = _from_now_on(sources, clock) if go.late else sources
             driver = LiveDriver(
                 graph.topology,
                 scheduler,
-                workers,
+                executors,
                 sources,
                 clock,
                 devices,
                 statistics,
                 on_failure,
+                None if joint is None else joint.exchange,
             )
         started = time.monotonic_ns()
         profiler.start(graph.devices)
@@ -161,7 +180,13 @@ def run_graph(
         if status is not None:
             status.begin(speed, clock, driver.still)
         with stopped_by_signals(on_signal):
+            if joint is not None:
+                assert isinstance(driver, LiveDriver)
+                joint.exchange.begin(driver)
+                joint.running(driver)
             how = driver.run(duration_s, tick)
+            if joint is not None:
+                joint.exchange.end()
         wall_ns = time.monotonic_ns() - started
         cpu = profiler.stop(statistics.scheduler_ns)
         own = {name: dict(stage.statistics()) for name, stage in stages.items()}
@@ -173,6 +198,8 @@ def run_graph(
     report["ended"] = ended
     if recorder is not None:
         report["recording"] = recorder.statistics()
+    if joint is not None:
+        report["links"] = joint.books()
     return RunResult(report, tuple(statistics.failures), tuple(statistics.events), ended)
 
 
@@ -209,8 +236,9 @@ def _close(name: str, stage: Stage, statistics: Statistics) -> None:
 
 def _first_arrivals(
     sources: Mapping[str, Iterator[Message[Any]]],
-) -> tuple[dict[str, Iterator[Message[Any]]], int]:
-    """The sources again, and when their first message arrives: the origin of the graph's clock."""
+) -> tuple[dict[str, Iterator[Message[Any]]], int | None]:
+    """The sources again, and when their first message arrives, if any does: the origin of the
+    graph's clock."""
     ready: dict[str, Iterator[Message[Any]]] = {}
     arrivals: list[int] = []
     for name, messages in sources.items():
@@ -218,7 +246,18 @@ def _first_arrivals(
         if first is not None:
             arrivals.append(first.received)
         ready[name] = _chain(first, messages)
-    return ready, min(arrivals, default=0)
+    return ready, min(arrivals, default=None)
+
+
+def _from_now_on(
+    sources: Mapping[str, Iterator[Message[Any]]], clock: ScaledClock
+) -> dict[str, Iterator[Message[Any]]]:
+    """The sources without what arrived while their process was not there."""
+    now = clock.now()
+    return {
+        name: dropwhile(lambda message: message.received < now, messages)
+        for name, messages in sources.items()
+    }
 
 
 def _chain(first: Message[Any] | None, messages: Iterator[Message[Any]]) -> Iterator[Message[Any]]:

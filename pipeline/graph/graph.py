@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -17,7 +17,9 @@ from pipeline.graph.expect import check_expect
 from pipeline.graph.load import load_tree
 from pipeline.graph.nodes import Mark, Node
 from pipeline.graph.parameters import resolve_parameters
-from pipeline.graph.parts import Part, PartMaker, StagePart
+from pipeline.graph.parts import Part as ClassPart
+from pipeline.graph.parts import PartMaker, StagePart
+from pipeline.graph.placing import GraphHost, GraphProcess, check_processes
 from pipeline.graph.report import Report
 from pipeline.graph.shape import check_shape
 from pipeline.graph.spec import DeviceSpec, ExpectSpec, StageSpec
@@ -26,6 +28,7 @@ from pipeline.graph.timing import check_timing
 from pipeline.graph.wiring import Wirer
 from pipeline.graph.written import Written
 from pipeline.model import Accelerator, ModelSpec
+from pipeline.scheduling.partition import NOWHERE, Part, Placement, part_of
 from pipeline.scheduling.topology import Input, OnError, StageNode, Topology
 from pipeline.stage import Source, Stage
 from pipeline.transport.child import Restarts
@@ -78,7 +81,17 @@ class Graph:
     parameters: Mapping[str, Any]
     expect: ExpectSpec  #: what a run must keep to, outputs as ``stage/port``
     warnings: tuple[Mistake, ...]
+    placement: Placement = NOWHERE  #: the process of each stage; a plan needs none
+    processes: Mapping[str, GraphProcess] = field(default_factory=dict)
+    hosts: Mapping[str, GraphHost] = field(default_factory=dict)
     written: Written | None = None  #: the resolved file; None where the graph came from no file
+
+    def part(self, process: str) -> tuple[Graph, Part]:
+        """What one process runs, as a graph of its own: its stages, and where it meets others."""
+        part = part_of(self.topology, self.placement, process)
+        here = {name for name, its in self.placement.process_of.items() if its == process}
+        stages = tuple(stage for stage in self.stages if stage.name in here)
+        return replace(self, stages=stages, topology=part.topology), part
 
     def stage(self, name: str) -> GraphStage:
         """The named stage; raises LookupError."""
@@ -128,6 +141,7 @@ def load_graph(
             _check_role(name, stage, contract, report)
             nodes.append(_node(name, stage, part, wirer.inputs(name, stage, contract)))
     check_structure(nodes, report)
+    placement, processes, hosts = check_processes(spec, nodes, report)
     expect = check_expect(spec.expect, contracts, report)
     report.raise_mistakes()
 
@@ -162,6 +176,9 @@ def load_graph(
         ),
         expect=expect,
         warnings=report.warnings,
+        placement=placement,
+        processes=MappingProxyType(dict(processes)),
+        hosts=MappingProxyType(dict(hosts)),
         written=Written(tree, report.paths, out),
     )
 
@@ -199,7 +216,7 @@ def _node(name: str, spec: StageSpec, part: StagePart, inputs: tuple[Input, ...]
     )
 
 
-def _device(name: str, part: Part[Accelerator], spec: DeviceSpec, tree: Node) -> GraphDevice:
+def _device(name: str, part: ClassPart[Accelerator], spec: DeviceSpec, tree: Node) -> GraphDevice:
     block = tree.get("devices", name)
     assert block is not None
     restarts = Restarts(
@@ -211,12 +228,12 @@ def _device(name: str, part: Part[Accelerator], spec: DeviceSpec, tree: Node) ->
     return GraphDevice(name, part.use, part.cls, part.options, block, isolation)
 
 
-def _isolated(spec: DeviceSpec, part: Part[Accelerator]) -> bool:
+def _isolated(spec: DeviceSpec, part: ClassPart[Accelerator]) -> bool:
     return getattr(part.cls, "isolate", False) if spec.isolate is None else spec.isolate
 
 
 def _check_restarts(
-    name: str, spec: DeviceSpec, part: Part[Accelerator] | None, report: Report
+    name: str, spec: DeviceSpec, part: ClassPart[Accelerator] | None, report: Report
 ) -> None:
     if part is None or _isolated(spec, part):
         return

@@ -124,6 +124,11 @@ class StageSpec(Spec):
         description="every (default): each trigger that finds the stage free. wanted: those that "
         "an input downstream will choose, as far as their stamps can be predicted.",
     )
+    process: Name | None = Field(
+        None,
+        description="The process that it runs in, by any name: stages of one name share one. "
+        "Default: the main process. See `processes` for more.",
+    )
     timeout_ms: Annotated[float, Field(gt=0, le=_MAX_MS)] | None = Field(
         None,
         description="An infer that takes longer marks its device as lost. Default: ten times the "
@@ -160,6 +165,51 @@ class DeviceSpec(Spec):
     )
     restart_window_s: Annotated[float, Field(gt=0, le=_MAX_MS / 1e3)] | None = Field(
         None, description="isolate: see max_restarts. Default 60."
+    )
+
+
+class ProcessSpec(Spec):
+    """A process of the graph: where it runs, and what is done when it ends."""
+
+    host: Name | None = Field(
+        None,
+        description="The host that it runs on, a name under `hosts`: started there by "
+        "`overflight run --host NAME`.",
+    )
+    affinity: tuple[Annotated[int, Field(ge=0, le=4095)], ...] | None = Field(
+        None, min_length=1, description="The cores that it may use, from 0. Default: all."
+    )
+    nice: Annotated[int, Field(ge=-20, le=19)] | None = Field(
+        None, description="Its niceness: above 0 it gives way to others. Default 0."
+    )
+    restart_policy: Literal["never", "on-failure", "always"] | None = Field(
+        None,
+        description="Whether it is started anew: after a crash or a kill (on-failure, the "
+        "default), also when it ended by itself (always), or never.",
+    )
+    max_restarts: Annotated[int, Field(ge=0, le=1_000_000)] | None = Field(
+        None, description="At most so many restarts within restart_window_s. Default 5."
+    )
+    restart_window_s: Annotated[float, Field(gt=0, le=_MAX_MS / 1e3)] | None = Field(
+        None, description="See max_restarts. Default 60."
+    )
+
+
+class HostSpec(Spec):
+    """A host of the graph; its processes are started there by `overflight run --host NAME`."""
+
+    listen: tuple[Annotated[str, Field(min_length=1)], ...] = Field(
+        (),
+        description="Endpoints at which other hosts find it, e.g. tcp/192.168.1.10:7447; each "
+        "further process of the host takes the next port. Nothing is open without them.",
+    )
+    reach: tuple[Annotated[str, Field(min_length=1)], ...] | None = Field(
+        None, min_length=1, description="How others reach it, where that is not `listen`."
+    )
+    zenoh: Mapping[str, Any] = Field(
+        default_factory=dict,
+        description="Zenoh's own keys between hosts, as in its documentation: "
+        "transport/link/tls, transport/auth/usrpwd, access_control.",
     )
 
 
@@ -226,6 +276,14 @@ class GraphSpec(Spec):
         None, description="The sensors by name, or {use: module:function, options: {...}}."
     )
     stages: Mapping[Name, StageSpec] = Field(description="The stages by name.")
+    processes: Mapping[Name, ProcessSpec] = Field(
+        default_factory=dict,
+        description="The processes that stages name with `process`; the others are in `main`.",
+    )
+    hosts: Mapping[Name, HostSpec] = Field(
+        default_factory=dict,
+        description="The hosts that processes name with `host`; without them all run on this one.",
+    )
     expect: ExpectSpec = Field(
         default_factory=lambda: ExpectSpec.model_validate({}),
         description="What a run must keep to, or it has failed.",

@@ -44,7 +44,7 @@ def build_report(
         "offline": offline,
         "stages": {
             node.name: _stage(node, runs, scheduler, statistics, None if offline else wall_s)
-            | ({"statistics": dict(own[node.name])} if own[node.name] else {})
+            | ({"statistics": dict(own[node.name])} if own.get(node.name) else {})
             for node in graph.topology.stages
         },
         "edges": ledger,

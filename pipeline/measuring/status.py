@@ -12,10 +12,9 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from pipeline.clock import Clock
-from pipeline.measuring.board import Board
 from pipeline.measuring.statistics import PortStatistics, Statistics
 from pipeline.scheduling.events import Reason
 from pipeline.scheduling.scheduler import Scheduler
@@ -34,12 +33,18 @@ LOSSES = frozenset(Reason) - {Reason.PASSED_OVER, Reason.DECIMATED, Reason.NOT_W
 Counters: TypeAlias = Mapping[tuple[str, str], int]
 
 
+class Pages(Protocol):
+    """Where pages are put up: a `Board`, or the end of a supervisor's line."""
+
+    def write(self, page: Mapping[str, Any]) -> None: ...
+
+
 class Status:
     """Puts up the pages of one run. Used from one thread."""
 
     def __init__(
         self,
-        board: Board,
+        board: Pages,
         graph: str,
         topology: Topology,
         scheduler: Scheduler,

@@ -7,14 +7,16 @@ Into it (methods of the scheduler; each takes `now` and returns the actions that
     step_failed(run, now)             a step of a run raised
     time(now)                         a wake-up
     source_ended(stage, now)          a source's iterator is exhausted
+    arrived(port, message, now)       another process brings a message of a port of its own
+    bounded(port, bound, now)         another process says how far a port of its own is
     device_failed(run, now)           the infer of a run raised: the device is lost
     device_checked(device, ok, now)   the answer to a `Check`
     device_down(device, now) / device_up(device, now)
     stop(now)                         start nothing more; what is queued or waits ends here
     abandon(now)                      give up the runs that are still going
 
-Out of it: `Start` actions (what to execute), `Check` actions from `time`, and, through an
-`Observer`, what happened.
+Out of it: `Start` actions (what to execute), `Check` actions from `time`, notices for other
+processes (`notices`), and, through an `Observer`, what happened.
 
 The values made on every hop are named tuples: frozen like our dataclasses, and 0.2 us to make
 instead of 0.4 us (a hop makes five).
@@ -122,6 +124,25 @@ class Check(NamedTuple):
     """Find out whether a lost device works again, on the thread that infers on it."""
 
     device: str
+
+
+class Bound(NamedTuple):
+    """For another process: no message below `bound` will be sent by this sender any more."""
+
+    sender: str
+    bound: int
+
+
+class Took(NamedTuple):
+    """For the process of a remote port: a stage with ``policy: block`` took all up to `seq`."""
+
+    port: Port
+    stage: str
+    seq: int
+
+
+#: What other processes should know.
+Notice = Bound | Took
 
 
 class Output(NamedTuple):

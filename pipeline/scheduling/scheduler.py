@@ -85,6 +85,24 @@ class Scheduler(Streams):
         self._raise(output, output.promised_after(message.stamp))
         return self._start_what_can()
 
+    def arrived(self, port: Port, message: Message[Any], now: int) -> list[Start]:
+        """Another process brings a message of a port of its own, as it was published there."""
+        self._begin(now)
+        output = self._ports[port]
+        reason = output.refusal(message)
+        if reason is not None:
+            self._observer.refused(port, message, reason, now)
+            return self._starts
+        self._send(output, message)
+        self._raise(output, message.stamp + 1)
+        return self._start_what_can()
+
+    def bounded(self, port: Port, bound: int, now: int) -> list[Start]:
+        """Another process says that nothing below `bound` will come on a port of its own."""
+        self._begin(now)
+        self._raise(self._ports[port], bound)
+        return self._start_what_can()
+
     def source_ended(self, stage: str, now: int) -> list[Start]:
         """A source has no more messages."""
         self._begin(now)

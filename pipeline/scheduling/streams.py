@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from pipeline.message import Message
-from pipeline.scheduling.bounds import INFINITY, OutputPort
+from pipeline.scheduling.bounds import INFINITY, NEVER, OutputPort
 from pipeline.scheduling.edges import Edge
-from pipeline.scheduling.events import Observer, Reason
+from pipeline.scheduling.events import Bound, Notice, Observer, Reason, Took
 from pipeline.scheduling.stages import StageState
 from pipeline.scheduling.sync import MAX_WAITING, Slot, Synchronizer, WaitingSet
-from pipeline.scheduling.topology import Policy, Topology
+from pipeline.scheduling.topology import Policy, Role, Topology
 from pipeline.scheduling.wanted import Verdict
 from pipeline.scheduling.wiring import wire
 
@@ -34,6 +34,9 @@ class Streams:
         self._ports = wiring.ports
         self._devices = wiring.devices
         self._wanted = [stage for stage in self._stages if stage.wishes is not None]
+        self._senders = [stage for stage in self._stages if stage.node.role is Role.SENDER]
+        self._said: dict[str, int] = {}  #: by sender: the bound that was told
+        self._took: list[Notice] = []
 
     # ------------------------------------------------------------------ messages
 
@@ -50,8 +53,10 @@ class Streams:
             stage = edge.target
             if stage.stopped:
                 self._drop(edge, message, Reason.STAGE_STOPPED)
+                self._tell_took(edge, message)
             elif self._stopping:
                 self._drop(edge, message, Reason.END)
+                self._tell_took(edge, message)
             elif edge.decimates(message.stamp):
                 self._drop(edge, message, Reason.DECIMATED)
             elif edge.slot is None:
@@ -133,6 +138,24 @@ class Streams:
         if entry.verdict is Verdict.MUST and reason in missed:
             text = f"the frame at stamp {entry.stamp} was wanted and ended {reason}"
             self._observer.event("wish_missed", stage.node.name, text, self._now)
+
+    # ------------------------------------------------------------------ other processes
+
+    def notices(self) -> list[Notice]:
+        """What other processes should know since this was asked last (README, section 11)."""
+        notices, self._took = self._took, []
+        for stage in self._senders:
+            bound = stage.ports[0].bound
+            if stage.idle and not stage.runs and bound > self._said.get(stage.node.name, NEVER):
+                self._said[stage.node.name] = bound
+                notices.append(Bound(stage.node.name, bound))
+        return notices
+
+    def _tell_took(self, edge: Edge, message: Message[Any]) -> None:
+        """Another process waits until its messages have found a place here."""
+        origin = self._by_name[edge.origin.port.stage].node
+        if origin.role is Role.REMOTE and edge.input.policy is Policy.BLOCK:
+            self._took.append(Took(edge.origin.port, edge.target.node.name, message.seq))
 
     # ------------------------------------------------------------------ bounds
 
@@ -220,13 +243,15 @@ class Streams:
         if stage.group is not None and not stage.queue.entries:
             for member in stage.group.members:
                 self._mark(member)
-        self._made_room(stage)
+        self._made_room(stage, entry)
         return entry
 
-    def _made_room(self, stage: StageState) -> None:
-        """A queue got shorter: with `policy: block` its producer may go on."""
+    def _made_room(self, stage: StageState, last: WaitingSet | None) -> None:
+        """A queue got shorter, up to `last`: with `policy: block` its producer may go on."""
         edge = stage.producer
         if edge is not None and edge.input.policy is Policy.BLOCK:
+            if last is not None:
+                self._tell_took(edge, last.message)
             self._mark(self._by_name[edge.origin.port.stage])
 
     def _decide(self, stage: StageState) -> None:
@@ -283,7 +308,7 @@ class Streams:
         stage.queue.entries.clear()
         for entry in lost:
             self._drop_trigger(stage, entry, reason)
-        self._made_room(stage)
+        self._made_room(stage, lost[-1] if lost else None)
         self._triggers_changed(stage)
 
     def _drop_slots(self, stage: StageState, reason: Reason) -> None:

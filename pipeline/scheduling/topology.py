@@ -42,6 +42,14 @@ class OnError(StrEnum):
     SKIP = "skip"
 
 
+class Role(StrEnum):
+    """What a node of a topology stands for."""
+
+    STAGE = "stage"  #: a stage of the file
+    REMOTE = "remote"  #: a stage of another process: a source here, of what it sends
+    SENDER = "sender"  #: takes the messages of a port to another process
+
+
 class Port(NamedTuple):
     """An output port."""
 
@@ -95,6 +103,7 @@ class StageNode:
     wanted: bool = False  #: run on the frames that somebody downstream will choose
     timeout: int | None = None  #: the longest infer, ns; None: by what was measured
     degraded_period: int | None = None  #: the least distance of stamps on a lower rung, ns
+    role: Role = Role.STAGE
 
     @property
     def is_source(self) -> bool:

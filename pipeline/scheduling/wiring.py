@@ -14,7 +14,7 @@ from pipeline.scheduling.events import Reason
 from pipeline.scheduling.queue import TriggerQueue
 from pipeline.scheduling.stages import SelectGroup, StageState
 from pipeline.scheduling.sync import Slot, Synchronizer
-from pipeline.scheduling.topology import Policy, Port, StageNode, Sync, Topology
+from pipeline.scheduling.topology import Policy, Port, Role, StageNode, Sync, Topology
 from pipeline.scheduling.wanted import MustWish, Rhythm, Wishes
 
 #: Told of a message that ends unused on an edge.
@@ -101,7 +101,8 @@ def _connect(
 
 
 def _watch(stages: list[StageState]) -> None:
-    """Mark the stages whose bounds matter: a sync slot, or a synchronised stage, hears of them.
+    """Mark the stages whose bounds matter: a sync slot, a synchronised stage, or another process
+    hears of them.
 
     All others skip the bookkeeping of bounds, which a long chain would pay on every hop.
     """
@@ -111,7 +112,7 @@ def _watch(stages: list[StageState]) -> None:
         for stage in stages:
             if stage.watched:
                 continue
-            stage.watched = any(
+            stage.watched = stage.node.role is Role.SENDER or any(
                 edge.slot is not None or edge.target.sync is not None or edge.target.watched
                 for port in stage.ports
                 for edge in port.edges

@@ -41,8 +41,12 @@ class Child:
     ours, however ours ends: its socket closes, and the kernel kills it where it hangs.
     """
 
-    def __init__(self, name: str, module: str, restarts: Restarts) -> None:
+    def __init__(
+        self, name: str, module: str, restarts: Restarts, *, timeout_s: float | None = None
+    ) -> None:
+        """`timeout_s`: the longest that it may take to answer; None: for ever."""
         self.name = name
+        self._timeout_s = timeout_s
         self._module = module
         self._restarts = restarts
         self._process: subprocess.Popen[bytes] | None = None
@@ -107,7 +111,7 @@ class Child:
             self._process = subprocess.Popen(
                 self._command(theirs.fileno()), pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL
             )
-        self._mailbox = Mailbox(ours)
+        self._mailbox = Mailbox(ours, self._timeout_s)
 
     def _command(self, descriptor: int) -> Sequence[str]:
         return [sys.executable, "-m", self._module, str(descriptor), str(os.getpid()), self.name]

@@ -11,6 +11,7 @@ import contextlib
 import json
 import mmap
 import os
+import select
 import socket
 from collections.abc import Mapping
 from math import prod
@@ -34,7 +35,9 @@ class Closed(Exception):
 class Mailbox:
     """One end of a pair. Not thread-safe."""
 
-    def __init__(self, end: socket.socket) -> None:
+    def __init__(self, end: socket.socket, timeout_s: float | None = None) -> None:
+        """`timeout_s`: the longest that the other side may take to answer; None: for ever."""
+        end.settimeout(timeout_s)
         self._socket = end
         self._out: mmap.mmap | None = None  #: our area
         self._in: mmap.mmap | None = None  #: the other side's
@@ -62,6 +65,10 @@ class Mailbox:
         finally:
             for descriptor in descriptors:
                 os.close(descriptor)
+
+    def readable(self) -> bool:
+        """Whether `receive` would not wait."""
+        return bool(select.select([self._socket], [], [], 0)[0])
 
     def receive(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Wait for a header and its arrays, copied. Raises Closed, also for what is none."""

@@ -125,6 +125,14 @@ def run(
         CompressionName,
         typer.Option(help="lz4 costs least CPU, zstd least disk."),
     ] = CompressionName.LZ4,
+    host: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Run the part of a graph with `hosts` that this host has.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the report as JSON instead of a table.")
     ] = False,
@@ -179,6 +187,7 @@ def run(
         record=record,
         record_edges=record_edges or (),
         record_compression=record_compression.value,
+        host=host,
         as_json=as_json,
         quiet=quiet,
     )

@@ -11,8 +11,12 @@ from rich.table import Table
 #: What a run of a stage with a model consists of.
 STEPS = ("prepare", "infer", "finish")
 
-#: Events that tell the story of a device, and their colors.
-DEVICE_EVENTS = {"device_down": "yellow", "device_hung": "yellow", "device_up": "green"}
+#: Events that tell the story of a device or a process, and their colors.
+STORY = {
+    **dict.fromkeys(("device_down", "device_hung", "process_lost", "state_reset"), "yellow"),
+    **dict.fromkeys(("device_up", "process_back"), "green"),
+    **dict.fromkeys(("process_failed", "process_given_up"), "red"),
+}
 
 #: The ledger's reasons (`pipeline.scheduling.events.Reason`) in a newcomer's words.
 WHY = {
@@ -42,12 +46,14 @@ def print_report(report: Mapping[str, Any], console: Console) -> None:
         console.print(_devices(report["devices"]))
         console.print("Wait: what a prepared run waits for its device.\n", style="dim")
     for event in report["events"]:
-        if event["kind"] in DEVICE_EVENTS:
+        if event["kind"] in STORY:
             line = f"{event['at_s']:7.2f} s  {event['of']} {event['text']}"
-            console.print(line, style=DEVICE_EVENTS[event["kind"]], highlight=False, soft_wrap=True)
+            console.print(line, style=STORY[event["kind"]], highlight=False, soft_wrap=True)
     console.print(_cpu(report["stages"], report["wall_s"]))
     console.print("A run: mean CPU time, and of it the steps of a stage with a model.", style="dim")
     console.print(_beside_stages(report.get("cpu", {})), style="dim", highlight=False)
+    if processes := report.get("processes"):
+        console.print(_processes(processes), style="dim", highlight=False)
     lossy = {edge: book for edge, book in report["edges"].items() if any(book["dropped"].values())}
     if lossy:
         console.print(_losses(lossy))
@@ -68,6 +74,16 @@ def print_report(report: Mapping[str, Any], console: Console) -> None:
         )
     else:
         console.print("The ledger does not balance: please report this.", style="red")
+
+
+def _processes(processes: Mapping[str, Any]) -> str:
+    """``Processes: main 52.1 %, mapping 8.4 % (1 restart) of a core.``"""
+    told = []
+    for name, process in processes.items():
+        cores, restarts = process["cpu_cores"], process["restarts"]
+        text = f"{name} lost" if cores is None else f"{name} {100 * cores:.1f} %"
+        told.append(text + (f" ({restarts} restart{'s' * (restarts > 1)})" if restarts else ""))
+    return f"Processes: {', '.join(told)} of a core.\n"
 
 
 def _outputs(outputs: Mapping[str, Any]) -> Table:

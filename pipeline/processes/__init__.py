@@ -1,0 +1,1 @@
+"""A graph in several processes: started, watched over, and told of as one."""

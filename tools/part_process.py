@@ -1,0 +1,74 @@
+"""The process of one part of a graph: what the supervisor of `overflight run` starts.
+
+Run as ``python -m tools.part_process DESCRIPTOR PARENT NAME``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import socket
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pipeline.graph.catalog import Catalog
+    from pipeline.graph.graph import Graph
+
+#: What the supervisor runs with ``python -m``.
+MODULE = "tools.part_process"
+PR_SET_PDEATHSIG = 1
+
+
+def opening(
+    path: Path,
+    settings: Sequence[str],
+    overlays: Sequence[Path],
+    models: Sequence[Path],
+    out: Path,
+) -> dict[str, Any]:
+    """What a part needs to load the graph, as JSON values."""
+    return {
+        "graph": str(path),
+        "settings": list(settings),
+        "overlays": list(map(str, overlays)),
+        "models": list(map(str, models)),
+        "out": str(out),
+    }
+
+
+def load(header: Mapping[str, Any]) -> tuple[Graph, Catalog]:
+    """The graph that `opening` describes."""
+    from tools.load import open_graph
+
+    return open_graph(
+        Path(header["graph"]),
+        header["settings"],
+        [Path(overlay) for overlay in header["overlays"]],
+        [Path(file) for file in header["models"]],
+        Path(header["out"]),
+    )
+
+
+def main() -> None:
+    """Be the part on the descriptor in the arguments, until it ends or the parent is gone."""
+    descriptor, parent = int(sys.argv[1]), int(sys.argv[2])
+    os.setpgid(0, 0)  # Ctrl-C is the supervisor's to hand on
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError, AttributeError):  # not Linux: the closed socket must do
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        return
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from pipeline.processes.part import serve_part
+    from pipeline.transport.mailbox import Mailbox
+
+    sys.exit(serve_part(Mailbox(socket.socket(fileno=descriptor)), load))
+
+
+if __name__ == "__main__":
+    main()
