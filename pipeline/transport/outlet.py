@@ -55,14 +55,21 @@ class Outlet:
             self._last = envelope
 
     def repeat(self, now: float | None = None) -> None:
-        """Send the last news again: at once, or with `now` only after a silence."""
-        with self._lock:
+        """Send the last news again: at once, or with `now` only after a silence.
+
+        Never waits: while something is being published, that is the news.
+        """
+        if not self._lock.acquire(blocking=False):
+            return
+        try:
             if now is None or now - self._sent_at >= REPEAT_S:
                 self._sent_at = time.monotonic()
                 last = self._last
                 if last.kind is Kind.MESSAGE:  # of a message only the bound after it is news
                     last = Envelope(Kind.BOUND, last.port, last.bound)
                 self._send(self._stamped(last, Place()), b"")
+        finally:
+            self._lock.release()
 
     def statistics(self) -> ChannelStatistics:
         return ChannelStatistics(
@@ -86,29 +93,37 @@ class Outlet:
     def _message(self, envelope: Envelope, payload: Any) -> None:
         # A stream whose last payload was large has a slot for the next: told of it at once, its
         # readers wake while the payload is made ready.
-        slot = self._ring.claim() if self._large else None
+        announced = self._large and self._announce(envelope)
         try:
-            if slot is not None:
-                self._send(self._stamped(envelope, Place(slot=slot)), b"")
             encoded = self._encode(payload)
         except BaseException:
-            if slot is not None:
+            if announced:
                 self._ring.withdraw()
             raise
         needed = len(encoded.header) + encoded.size
-        self._large = self.channel.local and needed > INLINE_BYTES
-        if slot is not None and needed > self._ring.room():
+        self._large = self.channel.local and encoded.size > INLINE_BYTES
+        if announced and needed > self._ring.room():
             self._ring.withdraw()
-            slot = None
-        if slot is None and self._large and (slot := self._ring.claim(needed)) is not None:
-            self._send(self._stamped(envelope, Place(slot=slot)), b"")
-        if slot is not None:
+            announced = False
+        if announced or (self._large and self._announce(envelope, needed)):
             self._ring.fill(encoded.header, encoded.size, encoded.write_into)
         else:
             self._sent_whole += self._large
             self._whole(envelope, encoded)
         self._published += 1
         self._bytes += needed
+
+    def _announce(self, envelope: Envelope, size: int = 0) -> bool:
+        """Claim a slot and tell the readers of it; False where there is none."""
+        slot = self._ring.claim(size)
+        if slot is None:
+            return False
+        try:
+            self._send(self._stamped(envelope, Place(slot=slot)), b"")
+        except BaseException:
+            self._ring.withdraw()
+            raise
+        return True
 
     def _whole(self, envelope: Envelope, encoded: Encoded) -> None:
         header, size, level = len(encoded.header), encoded.size, self.channel.zstd

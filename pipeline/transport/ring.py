@@ -105,10 +105,12 @@ class RingWriter:
             slot = file.slot(index)
             slot[:start] = np.frombuffer(header, np.uint8)
             write(slot[start : start + size])
-            file.words[word + 2], file.words[word + 3] = start, size
-            file.words[word + 1] = _FILLED
-        finally:
-            _lock(file.descriptor, fcntl.F_UNLCK, index)
+        except BaseException:
+            self.withdraw()
+            raise
+        file.words[word + 2], file.words[word + 3] = start, size
+        file.words[word + 1] = _FILLED
+        _lock(file.descriptor, fcntl.F_UNLCK, index)
 
     def withdraw(self) -> None:
         """Give back the slot that is claimed; who was told of it is told that nothing came."""

@@ -190,8 +190,9 @@ class Link:
 
     def _repeat_news(self) -> None:
         while not self._over.wait(REPEAT_S / 2):
-            for outlet in list(self._outlets.values()):
-                outlet.repeat(time.monotonic())
+            with contextlib.suppress(TransportError):  # closed in the meantime
+                for outlet in list(self._outlets.values()):
+                    outlet.repeat(time.monotonic())
 
     def _start(self, name: str, work: Callable[[], None]) -> None:
         thread = threading.Thread(target=work, name=name, daemon=True)
@@ -200,7 +201,10 @@ class Link:
 
 
 def _put(publisher: zenoh.Publisher, head: bytes, body: bytes) -> None:
-    publisher.put(body, attachment=head)
+    try:
+        publisher.put(body, attachment=head)
+    except zenoh.ZError as error:
+        raise TransportError(f"nothing can be published any more: {error}") from None
 
 
 def _congestion(channel: Channel) -> zenoh.CongestionControl:

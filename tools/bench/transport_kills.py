@@ -33,7 +33,7 @@ CHANNEL = channel("1.2 MB")
 PATIENCE_S = 20.0
 #: Kills before the first reading: pools, caches and the allocator find their size.
 WARM_UP = 50
-#: What a thousand kills may add: about 0.5 KB each were seen, levelling off; a leak of frames is 1,200 MB.
+#: What a thousand kills may add: 0.5 KB each were seen, leveling off; leaked frames are 1,200 MB.
 MOST_GROWTH_MB = 2.0
 
 

@@ -161,14 +161,16 @@ def test_a_slot_that_is_withdrawn_says_so_and_is_free_again(
     assert [must(write(ring, 100, n)).at for n in range(3)] == [1, 0, 1]
 
 
-def test_a_payload_whose_writer_failed_is_gone(ring: RingWriter, reader: RingReader) -> None:
+def test_a_payload_whose_writer_failed_is_withdrawn(ring: RingWriter, reader: RingReader) -> None:
     def fail(target: Bytes) -> None:
         raise ZeroDivisionError
 
     slot = must(ring.claim(100))
     with pytest.raises(ZeroDivisionError):
         ring.fill(b"", 100, fail)
-    assert reader.read(slot) is None
+    reading = reader.read(slot)
+    assert reading is not None
+    assert reading.withdrawn
     assert write(ring, 100, 1) is not None
 
 

@@ -179,9 +179,15 @@ def test_what_cannot_travel_is_refused_to_its_publisher_and_takes_no_number(ends
     publisher, subscriber, listener = connected(ends)
     with pytest.raises(WireError, match="camera/out: a wire_payloads:Undeclared cannot travel"):
         publisher.publish(CHANNEL.key, envelope(0), Undeclared(1))
-    publisher.publish(CHANNEL.key, envelope(1), box(4))
-    until(lambda: listener.messages)
-    assert subscriber.statistics().subscribed[CHANNEL.key].lost == 0
+    publisher.publish(CHANNEL.key, envelope(1), box(INLINE_BYTES))
+    with pytest.raises(WireError, match="Undeclared cannot travel"):  # its slot was announced
+        publisher.publish(CHANNEL.key, envelope(2), Undeclared(1))
+    publisher.publish(CHANNEL.key, envelope(3), box(4 * INLINE_BYTES))  # needs a larger one
+    publisher.publish(CHANNEL.key, envelope(4), box(4))
+    until(lambda: len(listener.messages) == 3)
+    assert [each.envelope.number for each in listener.messages] == [0, 1, 2]
+    books = subscriber.statistics().subscribed[CHANNEL.key]
+    assert (books.lost, dict(books.refused)) == (0, {})
 
 
 def test_between_hosts_payloads_go_whole_and_compressed_where_the_file_says_so(ends: Ends) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from transport_ends import CHANNEL, Listener, box, envelope, until
 
+from pipeline.errors import TransportError
 from pipeline.transport.channel import Arrival, ChannelStatistics
 from pipeline.transport.envelope import Envelope, Kind
 from pipeline.transport.outlet import INLINE_BYTES
@@ -97,6 +98,14 @@ def test_a_channel_that_blocks_loses_nothing_to_a_slow_reader() -> None:
         thread.join()
         until(lambda: len(slow.messages) == 200)
         assert slow.lost == 0
+
+
+def test_a_closed_link_publishes_no_more_and_says_so() -> None:
+    with pair() as (publisher, _):
+        publisher.advertise(CHANNEL)
+        publisher.close()
+        with pytest.raises(TransportError, match="nothing can be published any more"):
+            publisher.publish(CHANNEL.key, envelope(0), box(4))
 
 
 def test_who_starts_first_does_not_matter() -> None:
