@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import yaml
 from rich.console import Console
 
 from pipeline.drivers.run import run_graph
@@ -54,9 +57,29 @@ class Order:
             "bytes": seen.stat().st_size if seen else None,
             "changed": seen.stat().st_mtime_ns if seen else None,
             "graph": self.graph.name,
+            "graph_sha256": digest_of(self.graph),
             "models": [str(model.resolve()) for model in self.models],
             "settings": list(self.settings),
         }
+
+
+def digest_of(graph: Path) -> str:
+    """Of a graph file and of all that it includes: another graph observes otherwise.
+
+    What cannot be read is left to the graph's own errors.
+    """
+    digest, waiting, seen = hashlib.sha256(), [graph], set[Path]()
+    while waiting:
+        file = waiting.pop().resolve()
+        if file in seen or not file.is_file():
+            continue
+        seen.add(file)
+        content = file.read_bytes()
+        digest.update(content)
+        with contextlib.suppress(yaml.YAMLError, AttributeError, TypeError):
+            includes = yaml.safe_load(content).get("include", [])
+            waiting += [file.parent / str(name) for name in includes]
+    return digest.hexdigest()
 
 
 def observe(order: Order, output: Path, console: Console) -> tuple[list[Path], bool]:

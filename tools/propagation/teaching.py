@@ -78,6 +78,12 @@ def build_map(
         what = "was made on sound devices and has a pose" if settings.sound_only else "has a pose"
         raise DataError(f"{files[0].parent}: none of the {len(files)} scans {what}")
     voxels = built.snapshot()
+    if not len(voxels.indices):
+        raise DataError(
+            f"{files[0].parent}: the cameras said nothing of any point; do they look where the "
+            "LiDAR does, and are their images near enough in time (in the graph, "
+            "stages.camera_cloud.inputs.scores.tolerance_ms)?"
+        )
     never = [taxonomy.id(name) for name in NEVER_HIT]
     labels = confident_labels(voxels.log_scores, len(taxonomy), settings.confidence, never)
     mended = labels

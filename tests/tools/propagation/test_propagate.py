@@ -125,3 +125,12 @@ def test_a_simulated_flight_is_labeled_from_its_true_images(
         report["teachers"]["map"]["labeled_share"] > report["teachers"]["overlay"]["labeled_share"]
     )
     assert not report["observed_before"]
+
+
+def test_a_graph_or_an_include_of_it_that_changed_observes_anew(tmp_path: Path) -> None:
+    (tmp_path / "part.yaml").write_text("stages: {}")
+    (tmp_path / "graph.yaml").write_text("include: [part.yaml]")
+    first = Order(tmp_path, tmp_path / "graph.yaml").note()
+    assert Order(tmp_path, tmp_path / "graph.yaml").note() == first
+    (tmp_path / "part.yaml").write_text("stages: {a: {}}")
+    assert Order(tmp_path, tmp_path / "graph.yaml").note() != first

@@ -168,3 +168,10 @@ def test_a_scan_without_a_pose_is_in_no_map_and_gets_no_label(tmp_path: Path) ->
     assert not second.labels.any()
     with pytest.raises(DataError, match="none of the 1 scans has a pose"):
         build_map(files[1:], PLAIN)
+
+
+def test_cameras_that_say_nothing_are_told_with_the_way_out(tmp_path: Path) -> None:
+    silent = observation(0, 40.0)  # the street lies behind the sensor
+    assert len(silent.camera.index) == 0
+    with pytest.raises(DataError, match=r"said nothing of any point; .*tolerance_ms"):
+        build_map(written(tmp_path, [silent]), PLAIN)
