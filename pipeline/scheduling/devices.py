@@ -6,6 +6,8 @@ from collections import deque
 from statistics import median_high
 from typing import TYPE_CHECKING
 
+from pipeline.scheduling.bounds import INFINITY
+
 if TYPE_CHECKING:
     from pipeline.scheduling.stages import ActiveRun, StageState
 
@@ -51,6 +53,7 @@ class Device:
         "name",
         "overdue_at",
         "pending",
+        "shut",
         "stages",
         "up",
         "usage",
@@ -68,6 +71,7 @@ class Device:
         self.pending: deque[ActiveRun] = deque()  #: in prepare or prepared; more than one only
         # where another device went down
         self.wakeup: int | None = None  #: when a stage may start its prepare
+        self.shut = -1  #: the state of the scheduler in which it was too early for every stage
         self.usage: dict[str, Usage] = {}  #: by stage
         self._infer_since = 0
         self._history: dict[str, deque[int]] = {}
@@ -119,6 +123,8 @@ class Device:
         self._pause = self._check_every if steady else min(2 * self._pause, longest)
         self.check_due = now + self._pause
         self.inferring = self.overdue_at = self.wakeup = None
+        for stage in self.stages:
+            stage.stand()
 
     def check(self) -> None:
         """A check is under way."""
@@ -132,11 +138,15 @@ class Device:
         """The device is back."""
         self.up, self.checking, self.check_due = True, False, None
         self._up_since = now
+        for stage in self.stages:
+            stage.stand()
 
-    def due(self) -> int | None:
+    def due(self) -> int:
         """The least instant at which time alone changes something about it."""
-        instants = (self.wakeup, self.overdue_at, self.check_due)
-        return min((at for at in instants if at is not None), default=None)
+        due = INFINITY if self.wakeup is None else self.wakeup
+        if self.overdue_at is not None and self.overdue_at < due:
+            due = self.overdue_at
+        return due if self.check_due is None else min(due, self.check_due)
 
     # ------------------------------------------------------------------ prediction
 

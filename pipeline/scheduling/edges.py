@@ -16,12 +16,13 @@ if TYPE_CHECKING:
 class Edge:
     """The state of one edge; a trigger's has no slot."""
 
-    __slots__ = ("_kept", "_previous", "book", "input", "origin", "slot", "target")
+    __slots__ = ("_kept", "_previous", "book", "input", "origin", "period", "slot", "target")
 
     def __init__(self, origin: OutputPort, target: StageState, rule: Input) -> None:
         self.origin = origin
         self.target = target
         self.input = rule
+        self.period = rule.period  #: of ``rate_hz``; None: takes every message
         self.book = EdgeBook()
         self.slot: Slot | None = None
         self._kept: int | None = None
@@ -38,7 +39,7 @@ class Edge:
         Half the stream's own period of slack keeps the rate exact under jitter: of 30 Hz at 10 Hz
         every third message is kept, although some come a little early.
         """
-        period = self.input.period
+        period = self.period
         if period is None:
             return False
         gap = 0 if self._previous is None else stamp - self._previous

@@ -51,6 +51,7 @@ class Scheduler(Streams):
         self._wanting: dict[int, StageState] = {}  #: stages that may want a CPU worker, by index
         self._free_workers = topology.workers
         self._started = 0  #: runs, over all stages: the order of turns on devices
+        self._state = 0  #: another number whenever another stage may come to want a device
         self._synced = [stage for stage in self._stages if stage.sync]
         self._timed = bool(self._synced or self._devices)
         self._wakeup = INFINITY  #: the least instant at which something becomes due
@@ -267,10 +268,11 @@ class Scheduler(Streams):
         """Every event starts here: what has become due by now is looked at again."""
         self._now = now
         self._starts = []
+        self._state += 1
         if now < self._wakeup:
             return
         for stage in self._synced:
-            if self._deadline(stage) <= now:
+            if stage.sync is not None and stage.sync.next_deadline() <= now:
                 self._mark(stage)
         for device in self._devices.values():
             if device.wakeup is not None and device.wakeup <= now:
@@ -305,29 +307,33 @@ class Scheduler(Streams):
         """Let triggers wait; an inline stage starts at once, any other wants a worker."""
         if stage.sync is not None:
             self._fill_waiting(stage, stage.sync)
+            self._state += 1
         if not stage.inline:
             self._wanting[stage.index] = stage
         elif self._start_cpu_step(stage) and stage.free:
             self._mark(stage)
 
     def _next_due(self) -> int:
-        due = [self._deadline(stage) for stage in self._synced]
-        due += [at for device in self._devices.values() if (at := device.due()) is not None]
-        return min(due, default=INFINITY)
+        due = INFINITY
+        for stage in self._synced:
+            if stage.sync is not None and (at := stage.sync.next_deadline()) < due:
+                due = at
+        for device in self._devices.values():
+            if (at := device.due()) < due:
+                due = at
+        return due
 
     def _use_worker(self) -> bool:
         """Give a free CPU worker to the stage that wants it most; False where none can use it.
 
         One step at a time: what it changes may bring another stage to want the next worker more.
         """
-        while self._wanting:
-            best = next(iter(self._wanting.values()))
-            if len(self._wanting) > 1:
-                keyed = {s.index: key for s in self._wanting.values() if (key := self._step_key(s))}
-                self._wanting = {index: self._stages[index] for index in keyed}
-                if not keyed:
-                    return False
-                best = self._stages[min(keyed, key=keyed.__getitem__)]
+        wanting = list(self._wanting.values())
+        if len(wanting) > 1:
+            keyed = [key for stage in wanting if (key := self._step_key(stage)) is not None]
+            wanting = [self._stages[key[-1]] for key in sorted(keyed)]
+            self._wanting = {stage.index: stage for stage in wanting}
+        for best in wanting:
             started = self._start_cpu_step(best)
             if not started or not best.stateless:  # it asks again when its step is over
                 del self._wanting[best.index]
@@ -356,10 +362,11 @@ class Scheduler(Streams):
     def _try_process(self, stage: StageState) -> bool:
         """Start the stage's next run if it can; True where something changed."""
         entry = self._next_trigger(stage)
-        if entry is None or (stage.ladder and not self._device_turn(stage)):
+        if entry is None or (stage.ladder and not self._device_turn(stage, entry)):
             return False
         reason = self._unfit(stage, entry)
         if reason is not None:
+            self._state += 1
             self._pop_trigger(stage)
             self._trigger_lost(stage, entry, reason)
             if stage.device is not None:
@@ -387,13 +394,11 @@ class Scheduler(Streams):
         too_soon = entry.stamp < stage.last_stamp + period - entry.gap // 2
         return Reason.DECIMATED if too_soon else None
 
-    def _deadline(self, stage: StageState) -> int:
-        """When the oldest set of a stage times out."""
-        return INFINITY if stage.sync is None else stage.sync.next_deadline()
-
     def _next_trigger(self, stage: StageState) -> WaitingSet | None:
         """The trigger of the set that the stage could start now, worker and device apart."""
-        if stage.stopped or self._stopping or not stage.free:
+        if stage.stopped or self._stopping or len(stage.runs) >= stage.max_in_flight:
+            return None
+        if stage.ladder and ((device := stage.device) is None or device.pending):
             return None
         if stage.sync is not None:
             if not stage.sync.ready(self._now):
@@ -404,11 +409,7 @@ class Scheduler(Streams):
             if head is None:
                 return None
             entry = head
-        if stage.blocking and self._blocked(stage):
-            return None
-        if stage.ladder and ((device := stage.device) is None or device.pending):
-            return None
-        return entry
+        return None if stage.blocking and self._blocked(stage) else entry
 
     def _pop_trigger(self, stage: StageState) -> None:
         """Take the trigger that is about to start (or to be dropped) from where it waits."""
@@ -419,7 +420,7 @@ class Scheduler(Streams):
 
     # ------------------------------------------------------------------ devices
 
-    def _device_turn(self, stage: StageState) -> bool:
+    def _device_turn(self, stage: StageState, entry: WaitingSet) -> bool:
         """Whether it is the stage's turn on its device: by priority, then least recently started.
 
         The turn is decided first and the time for it after: were each stage let in as soon as its
@@ -427,22 +428,28 @@ class Scheduler(Streams):
         """
         device = stage.device
         assert device is not None
-        turns = [
-            (-rival.priority, entry.verdict is Verdict.MAY, rival.last_started, rival.index)
-            for rival in device.stages
-            if rival is stage
-            or (rival.device is device and not (rival.cpu_steps and not rival.stateless))
-            if (entry := self._next_trigger(rival)) is not None
-        ]
+        if device.shut == self._state:
+            return False
+        turns = []
+        for rival in device.stages:
+            if rival is not stage:
+                if rival.device is not device or (rival.cpu_steps and not rival.stateless):
+                    continue
+                other = self._next_trigger(rival)
+            else:
+                other = entry
+            if other is not None:
+                may = other.verdict is Verdict.MAY
+                turns.append((-rival.priority, may, rival.last_started, rival.index))
         turn = self._stages[min(turns)[-1]]
+        if not self._offline:
+            start_at = device.free_at(self._now) - turn.prepare_ns - max(self._lateness)
+            if start_at > self._now:
+                device.wakeup = start_at
+                device.shut = self._state
+                return False
         if turn is not stage:
             self._mark(turn)
-            return False
-        if self._offline:
-            return True
-        start_at = device.free_at(self._now) - stage.prepare_ns - max(self._lateness)
-        if start_at > self._now:
-            device.wakeup = start_at
             return False
         return True
 
@@ -543,6 +550,7 @@ class Scheduler(Streams):
         stage.producer.book.delivered += 1
         run = ActiveRun(stage.node.name, stage.next_number, inputs, self._now)
         stage.next_number += 1
+        self._state += 1
         stage.runs.append(run)
         stage.book.started += 1
         stage.last_started = self._started
@@ -656,6 +664,7 @@ class Scheduler(Streams):
     def _stop_stage(self, stage: StageState) -> None:
         """A stage is out for good: what it holds ends, its streams end, the graph goes on."""
         stage.stopped = True
+        stage.stand()
         self._drop_slots(stage, Reason.STAGE_STOPPED)
         self._drop_triggers(stage, Reason.STAGE_STOPPED)
         for run in stage.runs:

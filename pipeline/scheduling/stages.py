@@ -54,7 +54,7 @@ class SelectGroup:
     def decidable(self) -> bool:
         """A frame is there and every live member has taken the one before."""
         return bool(self.undecided) and not any(
-            member.queue.entries for member in self.members if member.live
+            member.queue.entries and member.live for member in self.members
         )
 
 
@@ -66,6 +66,7 @@ class StageState:
         "blocking",
         "book",
         "cpu_steps",
+        "device",
         "dirty",
         "finishing",
         "frames",
@@ -76,6 +77,7 @@ class StageState:
         "ladder",
         "last_stamp",
         "last_started",
+        "live",
         "max_age",
         "max_in_flight",
         "next_number",
@@ -114,6 +116,8 @@ class StageState:
         self.sync: Synchronizer | None = None
         self.group: SelectGroup | None = None
         self.ladder: list[Device] = []
+        self.device: Device | None = None  #: the first rung of the ladder that is up
+        self.live = True  #: takes part in its select group
         self.runs: deque[ActiveRun] = deque()  #: started and not left, in trigger order
         self.finishing: deque[ActiveRun] = deque()  #: inferred, waiting for a worker
         self.cpu_steps = 0  #: steps on CPU workers now
@@ -130,23 +134,15 @@ class StageState:
         self.prepare_ns = 0  #: the greatest of the last measured prepare times
         self._prepare_times: deque[int] = deque(maxlen=HISTORY)
 
-    @property
-    def live(self) -> bool:
-        """Takes part in its select group."""
-        return not self.stopped and (not self.ladder or self.device is not None)
+    def stand(self) -> None:
+        """Find its rung: a device of the ladder is new, came or went, or the stage stopped."""
+        self.device = next((device for device in self.ladder if device.up), None)
+        self.live = not self.stopped and (not self.ladder or self.device is not None)
 
     @property
     def expecting(self) -> bool:
         """A frame may still come that it would take."""
         return not self.stopped and self.producer is not None and not self.producer.origin.ended
-
-    @property
-    def device(self) -> Device | None:
-        """The first rung of the ladder that is up."""
-        for device in self.ladder:
-            if device.up:
-                return device
-        return None
 
     @property
     def degraded(self) -> bool:

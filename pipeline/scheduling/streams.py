@@ -57,7 +57,7 @@ class Streams:
             elif self._stopping:
                 self._drop(edge, message, Reason.END)
                 self._tell_took(edge, message)
-            elif edge.decimates(message.stamp):
+            elif edge.period is not None and edge.decimates(message.stamp):
                 self._drop(edge, message, Reason.DECIMATED)
             elif edge.slot is None:
                 self._arrive(edge, message)

@@ -230,6 +230,7 @@ class Synchronizer:
         self._offline = offline
         self.waiting: deque[WaitingSet] = deque()
         self.least = NEVER
+        self._span_floor = NEVER  #: no set takes a span's message before the last at or below it
         self._triggers: deque[WaitingSet] = (
             deque()
         )  #: recent ones, to see who is late (stale slots)
@@ -248,7 +249,7 @@ class Synchronizer:
         if slot.stale and self._in_time(slot, stamp, now):
             slot.stale = False
         if slot.is_span:
-            self._prune_spans()
+            slot.prune(self._span_floor)
         else:
             slot.prune(self.least)
             if self._spans and slot.rule.sync is Sync.LATEST:
@@ -315,7 +316,7 @@ class Synchronizer:
 
     def next_deadline(self) -> int:
         """When the slot that the oldest set waits for times out; INFINITY: no such instant."""
-        if self._offline or not self.waiting or self._blocker is None:
+        if self._blocker is None or self._offline or not self.waiting:
             return INFINITY
         return self._blocker.deadline(self.waiting[0])
 
@@ -403,6 +404,7 @@ class Synchronizer:
         floor = self.least
         if floor < INFINITY:
             floor = min([floor, *(slot.floor(floor) for slot in self._plain)]) - MAX_EXTENT_NS
+        self._span_floor = floor
         for span in self._spans:
             span.prune(floor)
 

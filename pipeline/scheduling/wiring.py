@@ -61,6 +61,7 @@ def _stage(wiring: Wiring, stage: StageState, node: StageNode, check_every: int)
         device = wiring.devices.setdefault(name, Device(name, check_every))
         device.stages.append(stage)
         stage.ladder.append(device)
+    stage.stand()
     return stage
 
 
