@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.clock import Clock, ManualClock, ScaledClock
 from pipeline.drivers.devices import Devices
 from pipeline.drivers.executor import Executor, Worker
-from pipeline.drivers.live import LiveDriver
+from pipeline.drivers.live import LiveDriver, freeze
 from pipeline.drivers.offline import OfflineDriver
 from pipeline.errors import OverflightError
 from pipeline.graph.catalog import Catalog
@@ -173,6 +173,8 @@ def run_graph(
                 on_failure,
                 None if joint is None else joint.exchange,
             )
+        if speed is not None:
+            freeze()
         started = time.monotonic_ns()
         profiler.start(graph.devices)
         if recorder is not None:

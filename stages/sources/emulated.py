@@ -248,8 +248,9 @@ class EmulatedOdometry(_Emulated):
         self.speed_m_s = speed_m_s
 
     def messages(self) -> Iterator[Message[Pose]]:
+        origin = np.eye(4)
         for _, stamp in self._frames():
-            map_from_base = np.eye(4)
+            map_from_base = origin.copy()
             map_from_base[0, 3] = self.speed_m_s * stamp / 1e9
             map_from_base.flags.writeable = False
             yield Message.at(stamp, Pose(map_from_base), received=self._stamps.arrival(stamp))
