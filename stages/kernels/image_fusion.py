@@ -292,11 +292,19 @@ def _exponentials(
     n = last - first
     for x in range(n):
         top[x] = p[0, first + x]
-        total[x] = 0.0
+    # From one array into another and back: a maximum in place becomes a masked store, which some
+    # processors (Zen) take ten times as long for.
+    highest, higher = top, total
     for k in range(1, classes):
         row = p[k, first:last]
         for x in range(n):
-            top[x] = max(top[x], row[x])
+            higher[x] = max(highest[x], row[x])
+        highest, higher = higher, highest
+    if classes % 2 == 0:
+        for x in range(n):
+            top[x] = highest[x]
+    for x in range(n):
+        total[x] = 0.0
     for k in range(classes):
         for x in range(first, last, LINE):
             prefetch_to_write(fused, k * width + x)

@@ -5,6 +5,7 @@ The integer pixel is the pixel's center. `intrinsics` is (9,) float64: fx fy cx 
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -28,7 +29,11 @@ def fold_limit(intrinsics: NDArray[np.float64]) -> float:
     Beyond it the polynomial r (1 + k1 r^2 + k2 r^4 + k3 r^6) falls again and would fold points from
     far outside the field of view back into the image. Infinite without distortion.
     """
-    k1, k2, k3 = intrinsics[4], intrinsics[5], intrinsics[8]
+    return _fold_limit(float(intrinsics[4]), float(intrinsics[5]), float(intrinsics[8]))
+
+
+@lru_cache(maxsize=64)  # every image asks, of a few cameras: 0.1 ms each time
+def _fold_limit(k1: float, k2: float, k3: float) -> float:
     slope = np.array([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])  # d(r d)/dr in r^2
     roots = np.roots(slope)
     real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0)]
