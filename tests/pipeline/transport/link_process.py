@@ -12,8 +12,8 @@ from pipeline.transport.outlet import INLINE_BYTES
 from pipeline.transport.zenoh import Link, LinkOptions
 
 
-def main(endpoint: str) -> None:
-    with Link(LinkOptions(listen=[endpoint], run="killed")) as link:
+def main(endpoint: str, run: str) -> None:
+    with Link(LinkOptions(listen=[endpoint], run=run)) as link:
         link.advertise(CHANNEL)
         for number in itertools.count():
             link.publish(CHANNEL.key, envelope(number), box(INLINE_BYTES, str(number)))
@@ -21,4 +21,4 @@ def main(endpoint: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import pytest
-from transport_ends import CHANNEL, Listener, box, envelope, until
+from transport_ends import CHANNEL, RUN, Listener, box, envelope, until
 from wire_payloads import Box, Undeclared
 
 from pipeline.errors import TransportError, WireError
@@ -19,6 +18,7 @@ from pipeline.transport.envelope import Envelope, Kind
 from pipeline.transport.loopback import LoopbackNetwork
 from pipeline.transport.outlet import INLINE_BYTES
 from pipeline.transport.schema import PayloadSchema
+from pipeline.transport.shared_files import FOLDER, PREFIX
 from pipeline.transport.zenoh import Link, LinkOptions, free_endpoint
 
 CORNERS = {"inline": 4, "slot": INLINE_BYTES}
@@ -36,7 +36,7 @@ class LoopbackEnds:
         self._network = LoopbackNetwork()
 
     def publisher(self) -> Transport:
-        return self._network.join()
+        return self._network.join(RUN)
 
     subscriber = publisher
 
@@ -46,10 +46,10 @@ class ZenohEnds:
         self._endpoint = free_endpoint()
 
     def publisher(self) -> Transport:
-        return Link(LinkOptions(listen=[self._endpoint], run="test"))
+        return Link(LinkOptions(listen=[self._endpoint], run=RUN))
 
     def subscriber(self) -> Transport:
-        return Link(LinkOptions(connect=[self._endpoint], run="test"))
+        return Link(LinkOptions(connect=[self._endpoint], run=RUN))
 
 
 @pytest.fixture(params=[LoopbackEnds, ZenohEnds])
@@ -69,8 +69,7 @@ def ends(request: pytest.FixtureRequest) -> Iterator[Ends]:
     yield Closing()
     for end in reversed(made):
         end.close()
-    assert not list(Path("/dev/shm").glob("overflight-test-*"))
-    assert not list(Path("/dev/shm").glob("overflight-loopback-*"))
+    assert not list(FOLDER.glob(f"{PREFIX}{RUN}-*"))
 
 
 def connected(ends: Ends, channel: Channel = CHANNEL) -> tuple[Transport, Transport, Listener]:

@@ -12,13 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from transport_ends import CHANNEL, Listener, box, envelope, until
+from transport_ends import CHANNEL, RUN, Listener, box, envelope, until
 
 from pipeline.errors import TransportError
 from pipeline.transport.channel import Arrival, ChannelStatistics
 from pipeline.transport.envelope import Envelope, Kind
 from pipeline.transport.outlet import INLINE_BYTES
-from pipeline.transport.shared_files import sweep
+from pipeline.transport.shared_files import FOLDER, PREFIX, sweep
 from pipeline.transport.zenoh import Link, LinkOptions, free_endpoint
 
 HERE = Path(__file__).parent
@@ -29,8 +29,8 @@ OTHER = replace(CHANNEL, key="test/lidar/out", port="lidar/out")
 def pair() -> Iterator[tuple[Link, Link]]:
     endpoint = free_endpoint()
     with (
-        Link(LinkOptions(listen=[endpoint], run="zenoh")) as publisher,
-        Link(LinkOptions(connect=[endpoint], run="zenoh")) as subscriber,
+        Link(LinkOptions(listen=[endpoint], run=RUN)) as publisher,
+        Link(LinkOptions(connect=[endpoint], run=RUN)) as subscriber,
     ):
         yield publisher, subscriber
 
@@ -135,10 +135,10 @@ def test_a_link_ends_with_its_threads_and_descriptors_also_twice() -> None:
 
 
 @contextmanager
-def process(endpoint: str) -> Iterator[subprocess.Popen[bytes]]:
+def process(endpoint: str, run: str) -> Iterator[subprocess.Popen[bytes]]:
     path = os.pathsep.join(map(str, (HERE.parents[2], HERE)))
     with subprocess.Popen(
-        [sys.executable, str(HERE / "link_process.py"), endpoint],
+        [sys.executable, str(HERE / "link_process.py"), endpoint, run],
         env={**os.environ, "PYTHONPATH": path},
     ) as child:
         try:
@@ -150,17 +150,17 @@ def process(endpoint: str) -> Iterator[subprocess.Popen[bytes]]:
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_a_killed_publisher_is_heard_again_and_leaves_nothing() -> None:
-    sweep("killed")  # of an earlier test run that was killed itself
+    killed = f"{RUN}-killed"
     endpoint, listener = free_endpoint(), Listener()
     with Link(LinkOptions(connect=[endpoint])) as subscriber:
         subscriber.subscribe(CHANNEL, listener)
         lives = []
         for _ in range(3):
             heard = len(listener.messages)
-            with process(endpoint):
+            with process(endpoint, killed):
                 until(lambda heard=heard: len(listener.messages) > heard + 5)  # type: ignore[misc]
                 lives.append(listener.messages[-1].envelope.epoch)
-            assert len(sweep("killed")) == 1
+            assert len(sweep(killed)) == 1
         assert len(set(lives)) == 3
         assert set(books(subscriber).refused) <= {
             "gone"
@@ -169,4 +169,4 @@ def test_a_killed_publisher_is_heard_again_and_leaves_nothing() -> None:
         received_or_lost = books(subscriber).received + books(subscriber).lost
         last = {each.envelope.epoch: each.envelope.number + 1 for each in listener.messages}
         assert received_or_lost + books(subscriber).missed_before >= sum(last.values())
-    assert not list(Path("/dev/shm").glob("overflight-killed-*"))
+    assert not list(FOLDER.glob(f"{PREFIX}{killed}-*"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -15,6 +16,8 @@ from pipeline.transport.channel import Arrival, Channel
 from pipeline.transport.envelope import Envelope, Kind
 from pipeline.transport.schema import PayloadSchema
 
+#: The run of this process: tests of other processes leave its shared memory alone.
+RUN = f"test-{os.getpid()}"
 CHANNEL = Channel("test/camera/out", "camera/out", PayloadSchema.of([Box]))
 
 
