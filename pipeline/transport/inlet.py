@@ -68,9 +68,11 @@ class Inlet:
         envelope = unpack(head)
         self._check(envelope, size)
         slot = envelope.place.slot
+        # Before its number counts: what is gone from its slot may have been announced in vain and
+        # come again. If not, the next number tells that it is lost.
         reading = None if slot is None else self._reading(slot)
-        if isinstance(reading, Reading) and reading.withdrawn:
-            return None  # its number goes to the next message
+        if reading is not None and reading.withdrawn:
+            return None
         is_message = envelope.kind is Kind.MESSAGE
         count = self._numbering.message if is_message else self._numbering.news
         self._untold += count(envelope.epoch, envelope.number, time.monotonic_ns())
@@ -100,13 +102,9 @@ class Inlet:
         if size != beside or (place.stored != place.size and not place.zstd):
             raise WireError(Refused.MALFORMED, f"{size} bytes came of {beside}; cut short?")
 
-    def _payload(
-        self, place: Place, reading: Reading | WireError | None, body: Callable[[], bytes]
-    ) -> Any:
+    def _payload(self, place: Place, reading: Reading | None, body: Callable[[], bytes]) -> Any:
         """The payload of a message that is counted already: lost where it cannot be read."""
         try:
-            if isinstance(reading, WireError):
-                raise reading
             if reading is not None:
                 header, data = reading.header, reading.data
             else:
@@ -128,20 +126,19 @@ class Inlet:
         except ValueError as error:
             raise WireError(Refused.MALFORMED, f"cannot be decompressed: {error}") from None
 
-    def _reading(self, slot: Slot) -> Reading | WireError:
-        """What lies in a slot, or why it cannot be read, which is told after its number counts."""
+    def _reading(self, slot: Slot) -> Reading:
         try:
             reading = self._ring.read(slot)
         except (OSError, ValueError) as error:
-            return WireError(Refused.MALFORMED, f"no such shared memory: {error}")
+            raise WireError(Refused.MALFORMED, f"no such shared memory: {error}") from None
         if reading is None:
-            return WireError(
+            raise WireError(
                 Refused.GONE,
                 f"{slot.file} slot {slot.at} holds a newer message; read faster, or give the "
                 "edge more slots",
             )
         if len(reading.data) > self._channel.max_bytes:
-            return WireError(Refused.OVERSIZED, f"{len(reading.data)} bytes in {slot.file}")
+            raise WireError(Refused.OVERSIZED, f"{len(reading.data)} bytes in {slot.file}")
         return reading
 
 

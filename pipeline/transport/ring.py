@@ -8,8 +8,8 @@ that is so slow that its slot was written anew before it got there sees another 
 message is lost, and counted.
 
 The file is one page of `WORDS` for each slot, and then the slots, page-aligned. A payload larger
-than the slots, or no free slot, makes a new file; the old one is removed and lives until its last
-reader lets go.
+than the slots, or no free slot, makes a new file; the old one is removed as soon as its messages
+would have been written over, and lives until its last reader lets go.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ WORDS = 4
 MAX_SLOTS = 64  #: of one file
 _FILLING, _FILLED, _WITHDRAWN = range(3)
 #: How long a reader waits for a writer that has announced a slot and is still filling it.
-FILL_S = 0.2
+FILL_S = 2.0
 _POLL_S = 20e-6
 _FLOCK = struct.Struct("hhqqi4x")
 #: The requests to the kernel, by kind of lock and slot.
@@ -69,6 +69,9 @@ class RingWriter:
         self._budget = budget  #: bytes that a file may take
         self._folder = folder
         self._file: _File | None = None
+        #: Files before this one, which readers may still have to open, each with the generation at
+        #: which a ring of its size would have come round.
+        self._former: list[tuple[int, _File]] = []
         self._generation = 0
         self._next = 0
         self._claimed = 0
@@ -86,6 +89,8 @@ class RingWriter:
         assert file is not None
         self._next = (index + 1) % file.slots
         self._generation += 1
+        while self._former and self._former[0][0] <= self._generation:
+            self._former.pop(0)[1].close()
         word = WORDS * index
         file.words[word + 1] = _FILLING
         file.words[word] = self._generation
@@ -120,7 +125,10 @@ class RingWriter:
         _lock(file.descriptor, fcntl.F_UNLCK, index)
 
     def close(self) -> None:
-        """Remove the file; readers keep what they hold."""
+        """Remove the files; readers keep what they hold."""
+        for _, file in self._former:
+            file.close()
+        self._former.clear()
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -157,7 +165,8 @@ class RingWriter:
             new = _File(self._run, slots, slot_bytes, self._folder)
         except TransportError:
             return None  # no room: it goes another way, which its statistics show
-        self.close()
+        if file is not None:
+            self._former.append((self._generation + file.slots, file))
         self._file, self._next = new, 0
         _lock(new.descriptor, fcntl.F_WRLCK, 0)
         return 0
