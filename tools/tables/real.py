@@ -49,7 +49,7 @@ class RealOrder:
     shared: Path
     output: Path
     seeds: int = 3
-    steps: int = 500
+    steps: int = 1500
     width: float = 0.25
     recipe: str = "strong"
     threads: int = 1
