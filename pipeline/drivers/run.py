@@ -184,7 +184,7 @@ def run_graph(
         with stopped_by_signals(on_signal):
             if joint is not None:
                 assert isinstance(driver, LiveDriver)
-                joint.exchange.begin(driver)
+                joint.exchange.begin(driver, clock)
                 joint.running(driver)
             how = driver.run(duration_s, tick)
             if joint is not None:

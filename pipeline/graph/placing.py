@@ -7,11 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pipeline.graph.contract import ContractError
+from pipeline.graph.options import import_name
 from pipeline.graph.report import Report
 from pipeline.graph.spec import GraphSpec, HostSpec, ProcessSpec
 from pipeline.graph.wording import suggest
 from pipeline.scheduling.partition import MAIN, Placement
 from pipeline.scheduling.topology import Port, StageNode, Sync
+from pipeline.transport.channel import Compressor
 from pipeline.transport.child import Restarts
 
 #: The host of processes that name none.
@@ -64,8 +67,9 @@ def check_processes(
                     report.mistake(("hosts", name, key, i), what)
     _check_reach(spec, processes, report)
     _check_select(nodes, process_of, report)
-    hosts_of = {name: process.host for name, process in processes.items()}
-    return Placement(process_of, hosts_of), processes, hosts
+    placement = Placement(process_of, {name: p.host for name, p in processes.items()})
+    _check_compress(nodes, placement, report)
+    return placement, processes, hosts
 
 
 def numbered(endpoints: Sequence[str], index: int) -> tuple[str, ...]:
@@ -122,3 +126,42 @@ def _check_select(
             if process_of[first] != process_of[node.name]:
                 what = f"shares select '{rule.select}' with '{first}', so both need one process"
                 report.mistake(("stages", node.name, "process"), what)
+
+
+def compressor(name: str) -> Compressor:
+    """The compressor of a ``module:Class``. Raises GraphError's ImportError or ContractError."""
+    cls = import_name(name)
+    if not (callable(getattr(cls, "shrink", None)) and callable(getattr(cls, "restore", None))):
+        raise ContractError(f"{name} has no methods 'shrink' and 'restore'")
+    made: Compressor = cls()
+    return made
+
+
+def _check_compress(nodes: Sequence[StageNode], placement: Placement, report: Report) -> None:
+    """Compressing is for what goes to another host, and all readers there get the same."""
+    seen: dict[tuple[Port, str], tuple[str, str | None]] = {}
+    for node in nodes:
+        process = placement.process_of[node.name]
+        for rule in node.inputs:
+            steps = ("stages", node.name, "inputs", rule.name, "compress")
+            abroad = [
+                port
+                for port in rule.sources
+                if placement.host_of[placement.process_of[port.stage]] != placement.host_of[process]
+            ]
+            if rule.compress is not None and not abroad:
+                report.warn(
+                    steps, "nothing of it comes from another host, so nothing is compressed"
+                )
+            elif rule.compress not in (None, "zstd"):
+                try:
+                    compressor(rule.compress)
+                except (ImportError, ContractError) as error:
+                    report.mistake(steps, str(error))
+            for port in abroad:
+                first, how = seen.setdefault(
+                    (port, placement.host_of[process]), (node.name, rule.compress)
+                )
+                if how != rule.compress:
+                    what = f"'{first}' reads {port} on the same host; both need the same compress"
+                    report.mistake(("stages", node.name, "inputs", rule.name), what)

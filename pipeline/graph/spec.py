@@ -91,6 +91,11 @@ class InputSpec(Spec):
     rate_hz: Annotated[float, Field(ge=0.001, le=1_000_000)] | None = Field(
         None, description="Let through at most so many messages a second, evenly by stamp."
     )
+    compress: Annotated[str, Field(pattern=rf"^zstd$|{_USE}")] | None = Field(
+        None,
+        description="To another host only: zstd (lossless), or a compressor of the payload as "
+        "module:Class, such as stages.codecs.lossy:Jpeg.",
+    )
 
 
 class StageSpec(Spec):

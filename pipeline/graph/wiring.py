@@ -115,6 +115,7 @@ class Wirer:
             size=spec.queue.size if spec.queue else 1,
             max_age=_ns(spec.max_age_ms),
             select=spec.select,
+            compress=spec.compress,
             period=None if spec.rate_hz is None else round(1e9 / spec.rate_hz),
         )
 

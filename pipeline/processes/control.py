@@ -49,6 +49,7 @@ class Control:
         self._taken = threading.Event()  #: the report was asked for
         self._driver: Stoppable | None = None
         self._missing: Callable[[], list[str]] = list
+        self._clock: Callable[[], tuple[int, int] | None] = lambda: None
         self.gone: Callable[[str], None] = lambda process: None  #: a process will not come back
 
     # ------------------------------------------------------------------ the part's side
@@ -57,10 +58,19 @@ class Control:
         """Put up how the run stands (as on a `Board`)."""
         self._page = dict(page)
 
-    def ready(self, first: int | None, missing: Callable[[], list[str]]) -> Go:
-        """Say that the part is open, and wait for the word. Raises Stopped."""
+    def ready(
+        self,
+        first: int | None,
+        missing: Callable[[], list[str]],
+        clock: Callable[[], tuple[int, int] | None] = lambda: None,
+    ) -> Go:
+        """Say that the part is open, and wait for the word. Raises Stopped.
+
+        `missing` says whom it has not heard of, `clock` what it knows of another host's clock.
+        """
         with self._changed:
-            self._first, self._missing, self._state = first, missing, State.READY
+            self._first, self._state = first, State.READY
+            self._missing, self._clock = missing, clock
             self._changed.wait_for(lambda: self._go is not None or self._stopped)
             if self._go is None:
                 raise Stopped("stopped before it began")
@@ -113,7 +123,7 @@ class Control:
         elif call == "state":
             answer |= {"first": self._first, "text": self._text}
             if self._state is State.READY:
-                answer["missing"] = self._missing()
+                answer |= {"missing": self._missing(), "clock": self._clock()}
         elif call == "page":
             return answer, as_bytes(self._page)
         elif call == "report":

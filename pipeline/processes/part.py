@@ -13,6 +13,7 @@ from typing import Any
 
 from pipeline.drivers.exchange import Exchange
 from pipeline.drivers.run import run_graph
+from pipeline.drivers.shared_clock import ClockFollower
 from pipeline.errors import OverflightError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph
@@ -95,18 +96,30 @@ def _run(header: Mapping[str, Any], load: Load, control: Control, profiler: Prof
     whole, catalog = load(header)
     graph, part = whole.part(header["process"])
     with contextlib.ExitStack() as stack:
-        exchange = Exchange(header["run"], part, schemas_of(whole, part), profiler.enter_thread)
+        exchange = Exchange(
+            header["run"],
+            part,
+            schemas_of(whole, part),
+            profiler.enter_thread,
+            tells_clock=header["tells_clock"],
+        )
+        follower = ClockFollower(header["speed"])
         options = LinkOptions(header["listen"], header["connect"], header["zenoh"], header["run"])
 
         def open_link() -> None:
-            exchange.open(stack.enter_context(Link(options)))
+            link = stack.enter_context(Link(options))
             stack.callback(exchange.end)
+            exchange.open(link)
+            if header["follows"] is not None:
+                follower.listen(header["run"], header["follows"], link)
 
         control.gone = exchange.gone
         joint = Joint(
             exchange,
             open_link,
-            lambda first: control.ready(first, lambda: list(map(str, exchange.missing()))),
+            lambda first: control.ready(
+                first, lambda: list(map(str, exchange.missing())), follower.known
+            ),
             control.running,
             exchange.books,
         )

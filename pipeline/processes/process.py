@@ -18,6 +18,8 @@ from pipeline.transport.mailbox import Closed
 
 #: How long a call may go without an answer. Compiling kernels can hold Python's lock for seconds.
 SILENCE_S = 30.0
+#: More than this between two polls is not counted.
+MOST_BETWEEN_S = 1.0
 
 
 class PartProcess:
@@ -28,6 +30,7 @@ class PartProcess:
         self.state: State | None = None  #: None: not running
         self.first: int | None = None  #: when its first sample arrives
         self.missing: list[str] = []  #: ports that it has not heard of
+        self.clock: tuple[int, int] | None = None  #: another host's clock, as it heard it
         self.text = ""  #: why it failed
         self.report: dict[str, Any] | None = None
         self.page: dict[str, Any] = {}  #: how its run stands
@@ -38,7 +41,9 @@ class PartProcess:
         self._child = Child(process.name, module, process.restarts, timeout_s=SILENCE_S)
         self._opening = opening
         self._calls: deque[Mapping[str, Any]] = deque()
-        self._asked: tuple[str, float] | None = None  #: the call under way, and since when
+        self._asked: str | None = None  #: the call under way
+        self._silent_s = 0.0  #: since then
+        self._polled = 0.0
 
     @property
     def pid(self) -> int | None:
@@ -65,6 +70,9 @@ class PartProcess:
 
     def poll(self, now: float) -> str | None:
         """Read what is there and send what is due; how the process ended, if it did."""
+        # Where we were stopped ourselves, or the machine slept, that was not its silence.
+        self._silent_s += min(now - self._polled, MOST_BETWEEN_S)
+        self._polled = now
         if self.state is None:
             return None
         try:
@@ -73,13 +81,13 @@ class PartProcess:
                 self._heard(*mailbox.receive())
             if mailbox is not None and self._asked is None and self._calls:
                 header = self._calls.popleft()
-                self._asked = (str(header["call"]), now)
+                self._asked, self._silent_s = str(header["call"]), 0.0
                 mailbox.send(header)
         except Closed:
             return self._lost(self._child.how_it_ended())
         if not self._child.alive:
             return self._lost(self._child.how_it_ended())
-        if self._asked is not None and now - self._asked[1] > SILENCE_S:
+        if self._asked is not None and self._silent_s > SILENCE_S:
             self._child.kill()
             return self._lost(f"did not answer for {SILENCE_S:g} s and was killed")
         return None
@@ -106,11 +114,12 @@ class PartProcess:
 
     def _heard(self, answer: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
         assert self._asked is not None
-        call, self._asked = self._asked[0], None
+        call, self._asked = self._asked, None
         self.state = State(answer["state"])
         if call == "state":
             self.first, self.text = answer.get("first"), answer.get("text", "")
             self.missing = answer.get("missing", [])
+            self.clock = answer.get("clock")
         elif call == "page":
             self.page = from_bytes(arrays) or self.page
         elif call == "report":

@@ -10,21 +10,20 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 from pipeline.drivers.run import RunResult, Snapshot
 from pipeline.errors import DeviceError, OverflightError
 from pipeline.graph.graph import Graph
-from pipeline.graph.placing import numbered
 from pipeline.measuring.ending import Ended, stopped_by_signals
 from pipeline.measuring.statistics import Event
 from pipeline.measuring.status import Pages
 from pipeline.processes.control import State
+from pipeline.processes.endpoints import ends_of, host_of_clock
 from pipeline.processes.merging import merged_page, merged_report, snapshot_of
 from pipeline.processes.process import PartProcess
-from pipeline.scheduling.partition import links_between
 from pipeline.transport import shared_files
 from pipeline.transport.zenoh import free_endpoint
 
@@ -64,6 +63,8 @@ class Supervisor:
         self._origin = 0
         self._began_ns = 0  #: 0: not yet
         self._page_due = 0.0
+        clock_host = host_of_clock(graph)
+        self._follows = host not in (None, clock_host)  #: another host's clock
         run = f"{re.sub('[^A-Za-z0-9_-]', '-', graph.name)}-{os.getpid()}"
         if host is not None:  # both hosts must name the streams alike
             run = re.sub("[^A-Za-z0-9_-]", "-", graph.name)
@@ -82,7 +83,7 @@ class Supervisor:
                     "speed": speed,
                     "affinity": graph.processes[name].affinity,
                     "nice": graph.processes[name].nice,
-                    **_ends(graph, name, names, endpoints),
+                    **ends_of(graph, name, names, endpoints),
                 },
             )
             for name in names
@@ -122,16 +123,28 @@ class Supervisor:
             if all(process.state is State.READY for process in self._processes.values()):
                 ready_since = ready_since or now
                 missing = sorted({port for p in self._processes.values() for port in p.missing})
-                if not missing or now - ready_since > MEETING_S:
+                if (not missing or now - ready_since > MEETING_S) and self._set_clock():
                     if missing:
                         self._event("not_heard", ", ".join(missing), "its process is not there yet")
                     break
             time.sleep(POLL_S)
-        firsts = [p.first for p in self._processes.values() if p.first is not None]
-        self._origin = min(firsts, default=0)
-        self._began_ns = time.monotonic_ns() + HEAD_START_NS
         for process in self._processes.values():
-            self._go(process, late=False)
+            self._go(process, late=self._follows)
+
+    def _set_clock(self) -> bool:
+        """Set when the graph's clock begins here; False while the host that tells it is not there.
+
+        One host has it begin with its first sample; the others follow that host's.
+        """
+        if not self._follows:
+            firsts = [p.first for p in self._processes.values() if p.first is not None]
+            self._origin = min(firsts, default=0)
+            self._began_ns = time.monotonic_ns() + HEAD_START_NS
+            return True
+        heard = [p.clock for p in self._processes.values() if p.clock is not None]
+        if heard:
+            self._origin, self._began_ns = heard[0]
+        return bool(heard)
 
     def _go(self, process: PartProcess, *, late: bool) -> None:
         word = {"origin": self._origin, "began_ns": self._began_ns, "late": late}
@@ -263,42 +276,3 @@ class Supervisor:
     def _event(self, kind: str, subject: str, text: str) -> None:
         elapsed = max(0, time.monotonic_ns() - self._began_ns) if self._began_ns else 0
         self._events.append(Event(self._origin + int(elapsed * self._speed), kind, subject, text))
-
-
-def _ends(
-    graph: Graph, name: str, here: Sequence[str], endpoints: Mapping[str, str]
-) -> dict[str, Any]:
-    """Where a process listens and whom it looks for: of two, the later looks for the earlier."""
-    order = list(graph.processes)
-    links = links_between(graph.topology, graph.placement)
-    peers = {t for link in links if link.origin == name for t in link.targets} | {
-        link.origin for link in links if name in link.targets
-    }
-    listen, connect = [endpoints[name]], []
-    own = graph.hosts[graph.processes[name].host]
-    abroad = _abroad(graph, own.name)
-    if name in abroad:
-        listen += numbered(own.listen, abroad.index(name))
-    for peer in sorted(peers, key=order.index):
-        if peer in here:
-            connect += [endpoints[peer]] if order.index(peer) < order.index(name) else []
-            continue
-        host = graph.hosts[graph.processes[peer].host]
-        hosts = list(graph.hosts)
-        if not own.listen or (host.listen and hosts.index(host.name) < hosts.index(own.name)):
-            connect += numbered(host.reach, _abroad(graph, host.name).index(peer))
-    return {
-        "listen": listen,
-        "connect": connect,
-        "zenoh": dict(own.zenoh) if name in abroad else {},
-    }
-
-
-def _abroad(graph: Graph, host: str) -> list[str]:
-    """The processes of a host that have links to another one, in the order of the file."""
-    of = graph.placement
-    found: set[str] = set()
-    for link in links_between(graph.topology, of):
-        if not link.local:
-            found |= {link.origin, *link.targets}
-    return [name for name in graph.processes if name in found and of.host_of[name] == host]

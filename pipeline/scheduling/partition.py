@@ -56,6 +56,7 @@ class Link:
     local: bool  #: the origin is on that host, too
     window: int | None  #: ``policy: block``: sent and not yet taken at most; None: nobody waits
     waiting: tuple[str, ...] = ()  #: the targets that hold the origin back
+    compress: str | None = None  #: to another host: ``zstd``, or a class as ``module:Class``
 
     @property
     def sender(self) -> str:
@@ -114,6 +115,7 @@ def _link(port: Port, host: str, there: Mapping[str, list[Input]], placement: Pl
         placement.host_of[origin] == host,
         min(sizes, default=None),
         tuple(target for target, size in windows.items() if size is not None),
+        next((rule.compress for rules in there.values() for rule in rules if rule.compress), None),
     )
 
 

@@ -84,6 +84,7 @@ class Input:
         None  #: trigger only: inputs of one output with the same select share frames
     )
     period: int | None = None  #: rate_hz: decimate the edge to this period
+    compress: str | None = None  #: to another host: ``zstd``, or a class as ``module:Class``
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from pipeline.message import Message
 from pipeline.stage import Stage
-from stages.camera_image import eight_bit
+from stages.draw_fused import check_share, drawn
 from stages.fused import FusedImage
-from stages.kernels.image_fusion import colorize
-from stages.kernels.render import blend_classes, encode_png
+from stages.kernels.render import encode_png
 from stages.sinks.whole_file import whole_file
-from stages.taxonomy import load_taxonomy
 from stages.types import Image
 
 
@@ -28,24 +24,16 @@ class FusedOverlay(Stage):
         """`share` of the class color in the blend, 0..1."""
         if every < 1:
             raise ValueError(f"every must be at least 1, not {every}")
-        if not 0 <= share <= 1:
-            raise ValueError(f"share must lie in 0..1, not {share}")
+        check_share(share)
         self._folder = Path(folder)
         self._every = every
         self._share = share
-        self._colors = load_taxonomy().colors
         self._seen = 0
 
     def process(self, fused: Message[FusedImage], image: Message[Image] | None = None) -> None:
         self._seen += 1
         if (self._seen - 1) % self._every:
             return
-        mask = fused.payload.mask
-        if image is None:
-            picture = colorize(mask, self._colors)
-        else:
-            pixels = eight_bit(image.payload)
-            color = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
-            picture = blend_classes(color, mask, self._colors, self._share)
+        picture = drawn(fused.payload, image.payload if image else None, self._share)
         with whole_file(self._folder / f"{fused.stamp:020d}.png") as file:
             file.write(encode_png(picture))

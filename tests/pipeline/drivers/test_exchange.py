@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from pipeline.clock import ManualClock
 from pipeline.drivers.exchange import Exchange
 from pipeline.message import Message
 from pipeline.scheduling.bounds import INFINITY
@@ -49,8 +50,8 @@ class Pair:
         self.one, self.two = self.exchange("one"), self.exchange("two")
         self.sender = self.one.senders["a.out@here"]
         self.origin, self.reader = Told(), Told()
-        self.one.begin(self.origin)
-        self.two.begin(self.reader)
+        self.one.begin(self.origin, ManualClock())
+        self.two.begin(self.reader, ManualClock())
 
     def exchange(self, process: str) -> Exchange:
         def enter() -> None:
@@ -112,7 +113,7 @@ def test_a_sender_that_is_started_anew_waits_for_its_own_messages(blocking: Pair
         blocking.send(number)
         blocking.two.tell(Took(PORT, "b", number))
     again = blocking.exchange("one")
-    again.begin(origin := Told())
+    again.begin(origin := Told(), ManualClock())
     sender = again.senders["a.out@here"]
     message = Message("anew", 90, 90, 90, 90, 0)
     sender.execute(Run("a", 0, InputSet(message, (message,)), 0), Step.PROCESS)
