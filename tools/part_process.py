@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pipeline.graph.catalog import Catalog
     from pipeline.graph.graph import Graph
+    from pipeline.recording.recorder import Recorder
 
 #: What the supervisor runs with ``python -m``.
 MODULE = "tools.part_process"
@@ -30,9 +31,11 @@ def opening(
     overlays: Sequence[Path],
     models: Sequence[Path],
     out: Path,
+    record: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """What a part needs to load the graph, as JSON values."""
+    """What a part needs to load the graph, and to `record` what it does, as JSON values."""
     return {
+        "record": record,
         "graph": str(path),
         "settings": list(settings),
         "overlays": list(map(str, overlays)),
@@ -54,6 +57,34 @@ def load(header: Mapping[str, Any]) -> tuple[Graph, Catalog]:
     )
 
 
+def recorded(path: Path, process: str) -> Path:
+    """The recording of one process: ``flight.mcap`` becomes ``flight.mapping.mcap``."""
+    return path.with_name(f"{path.stem}.{process}{path.suffix}")
+
+
+def record(
+    header: Mapping[str, Any], graph: Graph
+) -> contextlib.AbstractContextManager[Recorder | None]:
+    """A recorder where `opening` asked for one; after a restart it begins another file."""
+    asked = header["record"]
+    if asked is None:
+        return contextlib.nullcontext()
+    from tools.recording.record import SOURCES, recording
+
+    own = {f"{node.name}/{name}" for node in graph.topology.stages for name in node.outputs}
+    path = recorded(Path(asked["path"]), header["process"])
+    if header["life"] > 1:
+        path = recorded(path, str(header["life"]))
+    return recording(
+        path,
+        graph,
+        offline=False,
+        edges=(SOURCES, *(edge for edge in asked["edges"] if edge in own)),
+        compression=asked["compression"],
+        process=header["process"],
+    )
+
+
 def main() -> None:
     """Be the part on the descriptor in the arguments, until it ends or the parent is gone."""
     descriptor, parent = int(sys.argv[1]), int(sys.argv[2])
@@ -67,7 +98,7 @@ def main() -> None:
     from pipeline.processes.part import serve_part
     from pipeline.transport.mailbox import Mailbox
 
-    sys.exit(serve_part(Mailbox(socket.socket(fileno=descriptor)), load))
+    sys.exit(serve_part(Mailbox(socket.socket(fileno=descriptor)), load, record))
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from tools.check import verdict_table
 from tools.part_process import MODULE as PART_MODULE
 from tools.part_process import opening
 from tools.recording.flight_graph import GraphFiles, on_flight
-from tools.recording.record import recording
+from tools.recording.record import SOURCES, chosen, recording
 from tools.validate import print_warnings
 from tools.watching.progress import Progress
 from tools.watching.report import print_report
@@ -60,8 +60,8 @@ def run_file(
     graph is the flight's own.
     Progress and warnings go to stderr; the table, or with `as_json` the report, to stdout.
     """
-    files = GraphFiles(path, settings, overlays, models, out)
-    graph, catalog = files.open() if flight is None else on_flight(files, Flight(flight))
+    given = GraphFiles(path, settings, overlays, models, out)
+    graph, catalog = given.open() if flight is None else on_flight(given, Flight(flight))
     if not quiet:
         print_warnings(graph.warnings)
     if report is not None:
@@ -72,19 +72,23 @@ def run_file(
         make_room_for(record, "recording")
     alone = speed is None or flight is not None
     processes = places(graph, host, alone=alone)
-    if len(processes) > 1 and (trace is not None or record is not None):
-        option = "--trace" if trace is not None else "--record"
+    apart = not alone and (len(processes) > 1 or host is not None)
+    if apart and trace is not None:
         raise typer.BadParameter(
-            f"{option} notes one process, and this graph runs in {len(processes)} "
-            f"({', '.join(processes)}); add --set 'stages.NAME.process=main' for its stages"
+            f"--trace draws one process, and this graph runs in {len(processes)} "
+            f"({', '.join(processes)}); use --record, which `overflight explain` reads"
         )
+    asked = None
+    if apart and record is not None:
+        ports = map(str, chosen(graph, record_edges or (SOURCES,)))
+        asked = {"path": str(record), "edges": sorted(ports), "compression": record_compression}
     started = time.time()
     recorded = None if trace is None else Trace(trace_entries)
     try:
         with contextlib.ExitStack() as stack:
             progress = Progress(graph.topology, Console(stderr=True))
             recorder = None
-            if record is not None:
+            if record is not None and not apart:
                 kept = recording(
                     record,
                     graph,
@@ -95,11 +99,12 @@ def run_file(
                 recorder = stack.enter_context(kept)
             show = None if quiet else stack.enter_context(progress)
             board = _open_board(stack)
-            if speed is not None and not alone and (len(processes) > 1 or host is not None):
+            if apart:
+                assert speed is not None
                 supervisor = Supervisor(
                     graph,
                     PART_MODULE,
-                    opening(path, settings, overlays, models, out),
+                    opening(path, settings, overlays, models, out, asked),
                     speed=speed,
                     host=host,
                     board=board,
@@ -138,8 +143,10 @@ def run_file(
         print_report(result.report, console)
         if judged:
             console.print("\n", verdict_table(judged), sep="")
-        asked = (file for file in (report, trace, record) if file is not None)
-        if written := [*_written(out, started), *asked]:
+        files = [file for file in (report, trace, record) if file is not None and file.exists()]
+        if apart and record is not None:
+            files += sorted(record.parent.glob(f"{record.stem}.*{record.suffix}"))
+        if written := [*_written(out, started), *files]:
             names = ", ".join(dict.fromkeys(map(str, written)))
             console.print(f"Written: {names}", highlight=False, soft_wrap=True)
         if recorded is not None:

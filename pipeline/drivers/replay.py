@@ -25,7 +25,7 @@ from pipeline.recording.outline import Outline
 from pipeline.recording.payloads import Payloads
 from pipeline.recording.reenactment import Reenactment
 from pipeline.scheduling.events import Observer, Output, Start, Step
-from pipeline.scheduling.topology import Port, Topology
+from pipeline.scheduling.topology import Port, Role, Topology
 
 _Done = tuple[Sequence[Output], Spent]
 
@@ -52,7 +52,8 @@ class ReplayDriver:
         self._outline = outline
         self._workers = workers
         self._payloads = payloads
-        self._fed = frozenset(fed)
+        senders = (node.name for node in topology.stages if node.role is Role.SENDER)
+        self._fed = frozenset((*fed, *senders))  # nothing is sent again
         self._statistics = statistics
         self._profiler: Profiler = statistics.profiler
         self._running: dict[int, Future[_Done]] = {}
@@ -107,7 +108,8 @@ class ReplayDriver:
     def _bring(self, event: Event) -> None:
         self.now = event.now
         payload, outputs = None, None
-        if event.name == "publish" and event.followed and event.followed[0][0] == "out":
+        came = event.name in ("publish", "arrived")
+        if came and event.followed and event.followed[0][0] == "out":
             payload = self._payloads.take(Port(*event.said[:2]), event.said[2]).payload
             seal(payload)
         elif event.name == "step_done":

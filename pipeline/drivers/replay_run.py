@@ -55,6 +55,8 @@ def replay_flight(
     re-enacted: another graph, a gap, an output that was not recorded.
     """
     recorded = flight.manifest
+    if recorded.process:
+        graph, _ = graph.part(recorded.process)
     difference = rules_differ(recorded.topology, graph.topology)
     if difference is not None:
         raise DataError(

@@ -8,6 +8,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
 
@@ -20,6 +21,7 @@ from pipeline.graph.graph import Graph
 from pipeline.measuring.profiler import Profiler
 from pipeline.processes.control import Control, Stopped
 from pipeline.processes.joint import Joint
+from pipeline.recording.recorder import Recorder
 from pipeline.scheduling.partition import Part
 from pipeline.scheduling.topology import Port
 from pipeline.transport.mailbox import Closed, Mailbox
@@ -33,7 +35,11 @@ KEPT_S = 20.0
 Load = Callable[[Mapping[str, Any]], tuple[Graph, Catalog]]
 
 
-def serve_part(mailbox: Mailbox, load: Load) -> int:
+#: A recorder for what a part does, where a call asks for one.
+Record = Callable[[Mapping[str, Any], Graph], AbstractContextManager[Recorder | None]]
+
+
+def serve_part(mailbox: Mailbox, load: Load, record: Record) -> int:
     """Be the part that the first call describes, to its end; returns the exit code."""
     with contextlib.suppress(Closed):
         header, _ = mailbox.receive()
@@ -43,7 +49,7 @@ def serve_part(mailbox: Mailbox, load: Load) -> int:
         threading.Thread(target=serving, name="control", daemon=True).start()
         try:
             _take_place(header)
-            _run(header, load, control, profiler)
+            _run(header, load, record, control, profiler)
         except Stopped:
             return 0
         except OverflightError as error:
@@ -92,7 +98,13 @@ def _take_place(header: Mapping[str, Any]) -> None:
             ) from None
 
 
-def _run(header: Mapping[str, Any], load: Load, control: Control, profiler: Profiler) -> None:
+def _run(
+    header: Mapping[str, Any],
+    load: Load,
+    record: Record,
+    control: Control,
+    profiler: Profiler,
+) -> None:
     whole, catalog = load(header)
     graph, part = whole.part(header["process"])
     with contextlib.ExitStack() as stack:
@@ -129,6 +141,7 @@ def _run(header: Mapping[str, Any], load: Load, control: Control, profiler: Prof
             speed=header["speed"],
             profiler=profiler,
             board=control,
+            recorder=stack.enter_context(record(header, graph)),
             joint=joint,
         )
         stack.close()  # the others hear the end of the streams before they are told that we ended

@@ -62,7 +62,7 @@ class PartProcess:
         self.page, self.first, self.missing = {}, None, []
         self._calls.clear()
         self._asked = None
-        self.call(self._opening)
+        self.call({**self._opening, "life": self.lives})
 
     def call(self, header: Mapping[str, Any]) -> None:
         """Say something as soon as the last call is answered."""

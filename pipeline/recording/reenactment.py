@@ -8,6 +8,7 @@ the recording was changed.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import zip_longest
 from typing import Any
 
@@ -90,6 +91,10 @@ class Reenactment:
         match name:
             case "publish":
                 return scheduler.publish(Port(said[0], said[1]), _message(said, payload, now), now)
+            case "arrived":
+                return scheduler.arrived(Port(said[0], said[1]), _arrived(said, payload), now)
+            case "bounded":
+                return scheduler.bounded(Port(said[0], said[1]), said[2], now)
             case "step_done":
                 run = self.running.pop(said[0]).run
                 made = [Output(port, None, *times) for port, *times in said[1]]
@@ -124,6 +129,13 @@ def shown(row: Any) -> str:
     if row is None:
         return "nothing"
     return " ".join(str(part) for part in row if part not in ((), None)) or "nothing"
+
+
+def _arrived(said: tuple[Any, ...], payload: Any) -> Message[Any]:
+    """A message of another process, as that one took it."""
+    *times, received, seq = said
+    message = _message(tuple(times), payload, received)
+    return replace(message, seq=seq)
 
 
 def _message(said: tuple[Any, ...], payload: Any, now: int) -> Message[Any]:

@@ -103,6 +103,15 @@ class TappedScheduler(Scheduler):
             said = (*said, m.lineage, m.executor, m.degraded)
         return self._note("publish", now, said, super().publish(port, message, now))
 
+    def arrived(self, port: Port, message: Message[Any], now: int) -> list[Start]:
+        m = message
+        said: Row = (*port, m.stamp, m.begin - m.stamp, m.end - m.stamp)
+        said = (*said, m.lineage, m.executor, m.degraded, m.received, m.seq)
+        return self._note("arrived", now, said, super().arrived(port, message, now))
+
+    def bounded(self, port: Port, bound: int, now: int) -> list[Start]:
+        return self._note("bounded", now, (*port, bound), super().bounded(port, bound, now))
+
     def source_ended(self, stage: str, now: int) -> list[Start]:
         return self._note("source_ended", now, (stage,), super().source_ended(stage, now))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import time
@@ -24,7 +25,9 @@ stages:
   work:
     use: apart_stages:Pair
     process: far
-    inputs: {frame: lidar, other: {from: camera, sync: nearest, tolerance_ms: 60}}
+    inputs:
+      frame: {from: lidar, queue: {policy: drop_oldest, size: 30}}
+      other: {from: camera, sync: nearest, tolerance_ms: 60}
   kept:
     use: stages.sinks.count:Count
     inputs: {message: {from: work, queue: {policy: block, size: 3}}}
@@ -50,11 +53,14 @@ def flows(page: dict[str, Any]) -> bool:
     return bool(page["outputs"].get("work/out", {}).get("count", 0) >= 5)
 
 
-def test_the_processes_of_a_graph_end_with_its_sources_and_one_report(
+def test_the_processes_of_a_graph_end_with_its_sources_and_one_report_and_replay_as_recorded(
     run: Callable[..., Run],
+    overflight: Callable[..., Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     counts = ["--set", "stages.camera.options.count=40", "--set", "stages.lidar.options.count=20"]
-    report = run(*counts).report()
+    report = run(*counts, "--record", "flight.mcap", "--record-edges", "all").report()
     assert report["ended"] == "sources ended"
     assert report["ledger_balanced"]
     assert report["outputs"]["work/out"]["count"] == 20
@@ -62,6 +68,14 @@ def test_the_processes_of_a_graph_end_with_its_sources_and_one_report(
     assert (kept["produced"], kept["delivered"], kept["dropped"]) == (20, 20, {})
     assert set(report["processes"]) == {"main", "far"}
     assert report["cpu"]["parts_cores"]["transport"] > 0
+    monkeypatch.chdir(tmp_path)
+    for name in ("main", "far"):
+        answer = overflight("run", f"flight.{name}.mcap", "--as-recorded", "--json")
+        replay = json.loads(answer.out)["replay"]
+        assert replay["decisions_identical"]
+        assert replay["outputs_compared"] >= 60
+        assert replay["outputs_different"] == replay["outputs_not_compared"] == 0
+        assert replay["options"] == []
 
 
 def test_ctrl_c_ends_every_process_and_leaves_nothing(run: Callable[..., Run]) -> None:

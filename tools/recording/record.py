@@ -30,13 +30,19 @@ SOURCES, ALL = "sources", "all"
 
 @contextmanager
 def recording(
-    path: Path, graph: Graph, *, offline: bool, edges: Sequence[str], compression: Compression
+    path: Path,
+    graph: Graph,
+    *,
+    offline: bool,
+    edges: Sequence[str],
+    compression: Compression,
+    process: str = "",
 ) -> Iterator[Recorder]:
-    """A recorder for one run of a graph, which writes to `path`."""
+    """A recorder for one run of a graph, or of the part of a `process`, which writes to `path`."""
     stored = chosen(graph, edges or (SOURCES,))
     recorder = Recorder(
         path,
-        manifest_of(graph, offline=offline),
+        manifest_of(graph, offline=offline, process=process),
         PayloadCodecs(),
         stored=stored,
         sources=_sources(graph),
@@ -66,14 +72,14 @@ def chosen(graph: Graph, words: Sequence[str]) -> frozenset[Port]:
     return frozenset(found)
 
 
-def manifest_of(graph: Graph, *, offline: bool) -> Manifest:
+def manifest_of(graph: Graph, *, offline: bool, process: str = "") -> Manifest:
     """What a recording says of this graph, this machine and these versions."""
     return Manifest(
         graph=graph.name,
         text="" if graph.written is None else graph.written.text(),
         topology=graph.topology,
         offline=offline,
-        process="",
+        process=process,
         started=datetime.now(UTC).isoformat(timespec="seconds"),
         options={stage.name: _options(stage) for stage in graph.stages},
         executors={

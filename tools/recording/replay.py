@@ -46,10 +46,11 @@ def replay_file(
         result = replay_flight(
             graph, catalog, flight, payload_codecs(graph), feed=feed, progress=progress
         )
+    replayed = graph.part(recorded.process)[0] if recorded.process else graph
     page = {**result.report}
     page["replay"] |= {
         "surroundings": surroundings_differ(recorded, _present(versions()), machine()),
-        "options": options_differ(recorded, manifest_of(graph, offline=recorded.offline)),
+        "options": options_differ(recorded, manifest_of(replayed, offline=recorded.offline)),
     }
     text = json.dumps(page, indent=2)
     if report is not None:
