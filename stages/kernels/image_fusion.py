@@ -91,7 +91,7 @@ def fuse_rows(
 
     # Per tile the two grid rows around the image row, spread over the image's columns: most image
     # rows find both from the row before.
-    spread = np.zeros((tiles, 2, classes, width), dtype=np.float32)
+    spread = np.zeros((max(tiles, 1), 2, classes, width), dtype=np.float32)
     held = np.full((tiles, 2), -1, dtype=np.int64)
     cells = np.zeros((classes, columns), dtype=np.float32)
     p = np.zeros((classes, width), dtype=np.float32)
@@ -103,8 +103,11 @@ def fuse_rows(
     label, ago = np.zeros(BLOCK, dtype=np.int32), past.reshape(-1)
     spoiled, uncovered = 0, 0
     for y in range(height):
-        p[:] = 0.0
+        only = tiles == 1 and tent_r[0, y] >= 0.0  # then its scores are added block by block
+        upper, lower, part = spread[0, 0], spread[0, 1], np.float32(0.0)
         weight[:] = 0.0
+        if not only:
+            p[:] = 0.0
         for t in range(tiles):
             if not tent_r[t, y] >= 0.0:
                 continue
@@ -119,11 +122,11 @@ def fuse_rows(
                     else:
                         spoiled += _load_cells(grid[t, row], scale, zero_point, cells)
                         _spread(cells, first_c[t], part_c[t], line)
-            upper, lower = spread[t, above & 1], spread[t, below & 1]
-            if tiles == 1:
-                _add_only_tile(upper, lower, part_r[t, y], tent_c[t], p, weight)
+            upper, lower, part = spread[t, above & 1], spread[t, below & 1], part_r[t, y]
+            if only:
+                _cover(tent_c[t], weight)
             else:
-                _add_tile(upper, lower, part_r[t, y], tent_r[t, y], tent_c[t], p, weight)
+                _add_tile(upper, lower, part, tent_r[t, y], tent_c[t], p, weight)
         for x in range(width):
             uncovered += weight[x] == 0.0
         if tiles > 1:
@@ -136,6 +139,8 @@ def fuse_rows(
             _find_places(source[y], classes, place, kept)
         for first in range(0, width, BLOCK):
             last = min(first + BLOCK, width)
+            if only:
+                _add_only_tile(upper, lower, part, first, last, p, weight)
             continues = bool(kept[first:last].any())
             _exponentials(p, first, last, fused[y], ago, place, continues, top, total)
             if continues:
@@ -210,22 +215,30 @@ def _spread(
             line[k, x] = a + part[x] * (row[second[x]] - a)
 
 
+@compiled
+def _cover(tent: NDArray[np.float32], weight: NDArray[np.float32]) -> None:
+    """1 where the only tile reaches: no weights to divide out."""
+    for x in range(len(weight)):
+        weight[x] = np.float32(1.0) if tent[x] >= 0.0 else np.float32(0.0)
+
+
 @compiled_contracted
 def _add_only_tile(
     upper: NDArray[np.float32],
     lower: NDArray[np.float32],
     part: float,
-    tent: NDArray[np.float32],
+    first: int,
+    last: int,
     p: NDArray[np.float32],
     weight: NDArray[np.float32],
 ) -> None:
-    """The interpolated scores of the only tile: no weights to divide out."""
+    """The interpolated scores of the only tile in one block of a row."""
     down = np.float32(part)
-    for x in range(p.shape[1]):
-        weight[x] = np.float32(1.0) if tent[x] >= 0.0 else np.float32(0.0)
+    covered = weight[first:last]
     for k in range(p.shape[0]):
-        for x in range(p.shape[1]):
-            p[k, x] = (upper[k, x] + down * (lower[k, x] - upper[k, x])) * weight[x]
+        above, below, into = upper[k, first:last], lower[k, first:last], p[k, first:last]
+        for x in range(last - first):
+            into[x] = (above[x] + down * (below[x] - above[x])) * covered[x]
 
 
 @compiled_contracted
