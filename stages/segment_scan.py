@@ -27,11 +27,11 @@ class SegmentScan(ModelStage):
 
     An organized scan whose rows and columns are a whole multiple of the network's, and that looks
     where its image does, is taken row by row and column by column; any other is projected (see
-    `RangeImage`). Points out of the field of view or without a return get no evidence, and neither
-    does a point whose cell has none.
+    `RangeImage`). Points out of the field of view or without a return get no evidence.
 
-    `neighbors` cleans up around edges: a point takes the mean of the cells near it in range, not
-    the scores of its cell, at about 12 ms per 131,072 points. `temperature` above 1 makes an
+    `back: cell` gives a point the scores of its cell, and none where the cell has no return.
+    `neighbors` cleans up around edges: a point takes the mean of the cells near it in range, its
+    own cell among them or not, at about 12 ms per 131,072 points. `temperature` above 1 makes an
     overconfident network milder. Without a class map the network's channels are ours.
     """
 

@@ -59,7 +59,8 @@ def rows_by_neighbors(
     points behind. So of the 5 x 5 cells around a point's own, by |range - own range| * (1 - g) with
     g a normalized Gaussian of 1 cell, the five nearest within `CUTOFF_M` count; the point's own
     cell counts with the point's own range. SalsaNext lets their labels vote; here their
-    probabilities are averaged, as Bayes' rule wants them. Columns go around.
+    probabilities are averaged, as Bayes' rule wants them. Columns go around. A point whose own cell
+    has no return (of several points one stands for the cell) is told by the others alone.
 
     `probabilities` (rows, columns, 16); the rest and the result as `rows_by_cell`, as
     log-probabilities held above log 1e-6.
@@ -122,7 +123,9 @@ def _mean_of_neighbors(
             dv, du = number // WINDOW, number % WINDOW
             penalty = penalties[dv, du]
             if dv == half and du == half:
-                gaps[:count] = np.float32(0.0)  # the point itself
+                for j in range(count):  # the point itself, unless another stands for its cell
+                    r = measured[np.uint64(corner[j] + half * stride + half)]
+                    gaps[j] = np.float32(0.0) if r > 0.0 else np.float32(np.inf)
             else:
                 for j in range(count):
                     r = measured[np.uint64(corner[j] + dv * stride + du)]
@@ -142,8 +145,7 @@ def _mean_of_neighbors(
         for j in range(count):
             i = start + j
             c = cell[i]
-            own = np.uint64(corner[j] + half * stride + half)
-            if c < 0 or not distance[i] > 0.0 or not measured[own] > 0.0:
+            if c < 0 or not distance[i] > 0.0 or l0[j] == far:
                 continue
             said[i] = True
             found = 0

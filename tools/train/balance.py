@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from tools.train.deeplab import DeepLab
+from tools.train.pyramid_segmenter import PyramidSegmenter
 from tools.train.salsanext import SalsaNext
 from tools.train.segmentation_loss import IGNORED
 
@@ -36,7 +37,7 @@ def balance(
     known = np.flatnonzero(truth != IGNORED)
     chosen = np.random.default_rng(0).permutation(known)[:CELLS]
     bias = class_biases(said[chosen], truth[chosen])
-    assert isinstance(network, DeepLab | SalsaNext)
+    assert isinstance(network, DeepLab | PyramidSegmenter | SalsaNext)
     assert network.scores.bias is not None
     network.scores.bias.data += torch.from_numpy(bias)
 

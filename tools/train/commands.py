@@ -36,6 +36,13 @@ class BackboneName(StrEnum):
     MOBILEDET = "mobiledet"
 
 
+class SegmenterName(StrEnum):
+    """What segments color images."""
+
+    PYRAMID = "pyramid"
+    DEEPLAB = "deeplab"
+
+
 class HeadName(StrEnum):
     """What says where objects are."""
 
@@ -80,6 +87,12 @@ JudgedOn = Annotated[
     ),
 ]
 Restart = Annotated[bool, typer.Option("--restart", help="Forget the folder's checkpoint.")]
+AsItIs = Annotated[
+    bool,
+    typer.Option(
+        "--as-it-is", help="Do not go on: write the files of what a stopped training has learned."
+    ),
+]
 
 
 Start = Annotated[
@@ -87,7 +100,8 @@ Start = Annotated[
     typer.Option(
         "--from",
         metavar="FOLDER",
-        help="Begin with the weights of that training of the same network.",
+        help="Begin with the weights of that training: of the same network, or the backbone and "
+        "pyramid of another.",
         show_default="with none",
     ),
 ]
@@ -138,6 +152,7 @@ def detect_thermal(
     start: Start = None,
     zoom: Zoom = None,
     restart: Restart = False,
+    as_it_is: AsItIs = False,
 ) -> None:
     """Train the thermal detector: persons, vehicles and bicycles at 640 x 512, one channel."""
     _need_torch()
@@ -156,6 +171,7 @@ def detect_thermal(
         words,
         judge,
         restart=restart,
+        as_it_is=as_it_is,
     )
     _detector(DETECT_THERMAL, replace(order, start=start), backbone, head, zoom)
 
@@ -177,6 +193,7 @@ def detect_rgb(
     start: Start = None,
     zoom: Zoom = None,
     restart: Restart = False,
+    as_it_is: AsItIs = False,
 ) -> None:
     """Train the color detector: persons, vehicles and bicycles at 848 x 480."""
     _need_torch()
@@ -195,6 +212,7 @@ def detect_rgb(
         words,
         judge,
         restart=restart,
+        as_it_is=as_it_is,
     )
     _detector(DETECT_RGB, replace(order, start=start), backbone, head, zoom)
 
@@ -207,20 +225,36 @@ def segment_rgb(
     output: Output = Path("out/segment-rgb"),
     steps: Steps = 4000,
     seed: Seed = 0,
-    width: Width = 1.0,
-    stride: Annotated[int, typer.Option(help="Of the scores: 8 or 16 pixels.")] = 8,
+    network: Annotated[
+        SegmenterName,
+        typer.Option(help="pyramid sees thin things and learns faster; deeplab is the paper's."),
+    ] = SegmenterName.PYRAMID,
+    width: Annotated[
+        float, typer.Option(metavar="X", min=0.1, max=2.0, help="All channels of a deeplab.")
+    ] = 1.0,
+    stride: Annotated[
+        int | None,
+        typer.Option(help="Of the scores, pixels.", show_default="4, of a deeplab 8"),
+    ] = None,
     threads: Threads = 1,
     license: License = "Apache-2.0",
     attribution: Attribution = SIMULATED,
     restart: Restart = False,
+    as_it_is: AsItIs = False,
 ) -> None:
-    """Train DeepLabv3+ to segment color images of 848 x 480."""
+    """Train a feature pyramid or DeepLabv3+ to segment color images of 848 x 480."""
     _need_torch()
     from tools.train.segment import train_image_segmenter
 
-    if stride not in (8, 16):
-        raise typer.BadParameter(f"{stride} is neither 8 nor 16", param_hint="--stride")
-    words = [f"--width={width:g}", f"--stride={stride}"]
+    deeplab = network is SegmenterName.DEEPLAB
+    stride = stride or (8 if deeplab else 4)
+    strides = (8, 16) if deeplab else (4, 8, 16)
+    if stride not in strides:
+        known = ", ".join(map(str, strides))
+        raise typer.BadParameter(f"{network} has {known}, not {stride}", param_hint="--stride")
+    words = [f"--network={network}", f"--stride={stride}"]
+    if deeplab:
+        words.append(f"--width={width:g}")
     order = _order(
         "segment-rgb",
         data,
@@ -232,8 +266,9 @@ def segment_rgb(
         attribution,
         words,
         restart=restart,
+        as_it_is=as_it_is,
     )
-    _carry_out(order, lambda console: train_image_segmenter(order, width, stride, console))
+    _carry_out(order, lambda console: train_image_segmenter(order, network, width, stride, console))
 
 
 @app.command(
@@ -275,6 +310,7 @@ def segment_scan(
     attribution: Attribution = SIMULATED,
     start: Start = None,
     restart: Restart = False,
+    as_it_is: AsItIs = False,
 ) -> None:
     """Train SalsaNext to segment LiDAR scans as range images of 512 x 64.
 
@@ -308,6 +344,7 @@ def segment_scan(
         attribution,
         words,
         restart=restart,
+        as_it_is=as_it_is,
     )
     if not from_points:
         _carry_out(
@@ -332,6 +369,7 @@ def _order(
     judged_on: Path | None = None,
     *,
     restart: bool,
+    as_it_is: bool,
 ) -> Order:
     from tools.train.plan import Order
 
@@ -347,6 +385,7 @@ def _order(
         attribution=attribution,
         judged_on=judged_on,
         restart=restart,
+        as_it_is=as_it_is,
         command=shlex.join(said),
     )
 

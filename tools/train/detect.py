@@ -49,9 +49,10 @@ def train_detector(
     network, task = _network(recipe, backbone, head, crops)
     width, height = recipe.size
     judged_on = order.judged_on
+    slim = recipe.slim and backbone == "residual"
     plan = Plan(
         name=recipe.name,
-        architecture=f"{head} on a {backbone} backbone",
+        architecture=f"{head} on a {'slim ' * slim}{backbone} backbone",
         task=task,
         shape=(recipe.channels, height, width),
         outputs=network.output_names,
@@ -75,16 +76,18 @@ def train_detector(
 def _network(
     recipe: DetectorRecipe, backbone: str, head: str, crops: Crops
 ) -> tuple[CenterNet | Ssd, Task]:
-    body = (
-        MobileDet(recipe.channels, MOBILEDET_WIDTH)
-        if backbone == "mobiledet"
-        else ResidualBackbone(recipe.channels)
-    )
+    body: MobileDet | ResidualBackbone
+    if backbone == "mobiledet":
+        body = MobileDet(recipe.channels, MOBILEDET_WIDTH)
+    elif recipe.slim:
+        body = ResidualBackbone.slim(recipe.channels)
+    else:
+        body = ResidualBackbone(recipe.channels)
     if head == "ssd":
         ssd = Ssd(body, len(recipe.odds))
-        return ssd, SsdDetector(ssd, crops, recipe.side)
+        return ssd, SsdDetector(ssd, crops, recipe.side, recipe.batch_size)
     center_net = CenterNet(body, len(recipe.odds))
-    return center_net, Detector(center_net, crops, len(recipe.odds))
+    return center_net, Detector(center_net, crops, len(recipe.odds), recipe.batch_size)
 
 
 def spread(pictures: Sequence[LabeledPicture], count: int) -> list[LabeledPicture]:

@@ -24,11 +24,14 @@ from torch import Tensor, nn
 
 from pipeline.errors import DataError
 from tools.train.curve import Curve
+from tools.train.precision import has_bfloat16
 from tools.train.task import Settings, Task
 
 CHECKPOINT = "checkpoint.pt"
 #: A crash costs at most this.
 SAVE_EVERY_S = 60.0
+#: What a network may take over from another one on the same backbone.
+SHARED = ("backbone.", "pyramid.")
 #: A row of the curve stands for so many steps, and a line where there is no terminal for ten rows.
 ROW_STEPS = 20
 
@@ -56,6 +59,7 @@ class Training:
         self.optimizer = torch.optim.AdamW(
             _groups(self.network, settings.weight_decay), settings.rate
         )
+        self._bfloat16 = has_bfloat16()
         self.curve = Curve(folder / "curve.csv")
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / CHECKPOINT).is_file():
@@ -113,7 +117,7 @@ class Training:
         told: dict[str, float] = {}
         for batch in batches:
             picture = batch["input"].contiguous(memory_format=torch.channels_last)
-            with torch.autocast("cpu", torch.bfloat16):
+            with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
                 outputs = self.network(picture)
             parts = self.task.loss(outputs, batch)
             total = torch.stack(list(parts.values())).sum()
@@ -181,10 +185,20 @@ class Training:
         self.curve.cut(self.step)
 
 
-def begin_with(network: nn.Module, checkpoint: Path) -> None:
-    """Give the network the averaged weights of a training; DataError where they do not fit."""
+def begin_with(network: nn.Module, checkpoint: Path) -> bool:
+    """Give the network the averaged weights of a training: all of them, or those of the backbone
+    and pyramid of another network on the same ones. Whether all; DataError where they do not fit.
+    """
     try:
-        network.load_state_dict(torch.load(checkpoint, weights_only=True)["averaged"])
+        weights = torch.load(checkpoint, weights_only=True)["averaged"]
+        mine = network.state_dict()
+        whole: bool = weights.keys() == mine.keys()
+        if not whole:
+            weights = {name: one for name, one in weights.items() if name.startswith(SHARED)}
+            if weights.keys() != {name for name in mine if name.startswith(SHARED)}:
+                raise KeyError("neither the network nor its backbone and pyramid are the same")
+        network.load_state_dict(weights, strict=whole)
+        return whole
     except (RuntimeError, KeyError, EOFError, OSError) as error:
         reason = str(error).partition("\n")[0]
         raise DataError(

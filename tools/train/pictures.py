@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import DataError
-from stages.sources.pictures import read_picture
 from stages.types import Detections, Image
+from tools.annotated_flights import as_drawn
 from tools.annotated_images import AnnotatedImage, read_annotated
 from tools.train.flights import with_truth
 
@@ -52,7 +52,7 @@ def in_channels(pixels: NDArray[np.uint8], channels: int) -> NDArray[np.uint8]:
 
 
 def _of_image(image: AnnotatedImage) -> LabeledPicture:
-    pixels = read_picture(image.path)
+    pixels = image.read()
     if pixels.dtype != np.uint8:
         raise DataError(f"{image.path}: has {pixels.dtype} pixels; train on 8-bit images")
     if (pixels.shape[1], pixels.shape[0]) != image.size:
@@ -72,4 +72,4 @@ def _of_flight(flight: Path, channels: int) -> Iterator[LabeledPicture]:
             raise DataError(
                 f"{flight}: camera '{image.camera}' gives {pixels.dtype} pixels; give 8-bit ones"
             )
-        yield LabeledPicture(np.asarray(pixels, dtype=np.uint8), truth.boxes, truth.classes)
+        yield LabeledPicture(np.asarray(pixels, dtype=np.uint8), *as_drawn(truth))

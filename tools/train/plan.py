@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from torch import nn
 
+from pipeline.errors import DataError
 from tools.train.blocks import parameters_of
 from tools.train.card import Origin, model_card
 from tools.train.export import Exportable
@@ -19,7 +20,7 @@ from tools.train.loop import CHECKPOINT, Training, begin_with
 from tools.train.products import REGISTRY, Meaning, write_products
 from tools.train.task import AVERAGING, Settings, Task
 
-#: A network that begins with another's weights learns at this share of the rate.
+#: A network that begins with its own weights of another training learns at this share of the rate.
 FINE_TUNING = 0.5
 
 
@@ -39,6 +40,7 @@ class Order:
     command: str  #: the words that ask for it again
     start: Path | None = None  #: the folder of a training whose weights this one begins with
     gathered: int = 1  #: batches to a step, see `Settings`
+    as_it_is: bool = False  #: write the files of what was learned so far instead of learning on
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,12 @@ class Plan:
     finish: Callable[[nn.Module], None] | None = None  #: the last touch of the trained network
 
 
+def _so_far(training: Training) -> nn.Module:
+    if not training.step:
+        raise DataError(f"{training.folder}: holds no training to be written as it is")
+    return training.averaged
+
+
 def carry_out(plan: Plan, order: Order, console: Console) -> Path:
     """Train, or go on, and write everything; the registry. Raises OverflightError, Interrupted."""
     if order.restart:
@@ -66,9 +74,9 @@ def carry_out(plan: Plan, order: Order, console: Console) -> Path:
     facts = {"network": f"{plan.name}, {plan.architecture}", "data": plan.data}
     rate = plan.rate
     if order.start is not None:
-        begin_with(plan.task.network, order.start / CHECKPOINT)
         facts["start"] = order.start.name
-        rate *= FINE_TUNING
+        if begin_with(plan.task.network, order.start / CHECKPOINT):
+            rate *= FINE_TUNING
     if order.gathered > 1:
         facts["gathered"] = str(order.gathered)
     settings = Settings(
@@ -82,7 +90,7 @@ def carry_out(plan: Plan, order: Order, console: Console) -> Path:
         facts=facts,
     )
     training = Training(plan.task, settings, order.output)
-    network = training.run(console)
+    network = _so_far(training) if order.as_it_is else training.run(console)
     if plan.finish is not None:
         plan.finish(network)
     console.print("writing ONNX, OpenVINO and TensorFlow Lite files ...", highlight=False)
@@ -95,7 +103,7 @@ def carry_out(plan: Plan, order: Order, console: Console) -> Path:
         data=plan.data,
         license=order.license,
         attribution=order.attribution,
-        steps=order.steps,
+        steps=training.step,
         seed=order.seed,
         minutes=training.seconds / 60,
         parameters=parameters_of(network),

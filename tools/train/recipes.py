@@ -19,6 +19,8 @@ class DetectorRecipe:
     odds: Mapping[str, float]  #: its classes in order, and how often a crop is made around each
     augmentation: Augmentation = field(default_factory=Augmentation)
     side: int = 256  #: of a crop
+    batch_size: int = 16  #: crops of a step
+    slim: bool = False  #: a residual backbone of half the work
 
     @property
     def color(self) -> str:
@@ -30,6 +32,18 @@ class DetectorRecipe:
         """The network's classes as ours."""
         return dict(enumerate(self.odds))
 
+
+#: A color camera looks ahead: nothing is upside down or on its side. It flies at the heights that
+#: it is trained at, so objects are as large as in the data, and the simulated light is even.
+AHEAD = Augmentation(
+    zoom=(0.8, 1.5),
+    upside_down=0.0,
+    quarter_turn=0.0,
+    contrast=(0.85, 1.2),
+    gamma=(0.85, 1.2),
+    brightness=20.0,
+    noise=4.0,
+)
 
 DETECT_THERMAL = DetectorRecipe(
     name="detect-thermal",
@@ -45,6 +59,7 @@ DETECT_RGB = DetectorRecipe(
     size=(848, 480),
     channels=3,
     odds={"person": 0.45, "vehicle": 0.25, "bicycle": 0.30},
-    # A color camera looks ahead: what is upside down or lies on its side is none of these.
-    augmentation=Augmentation(upside_down=0.0, quarter_turn=0.0),
+    augmentation=AHEAD,
+    batch_size=8,
+    slim=True,  # as segment-rgb's, with whose weights it can begin
 )

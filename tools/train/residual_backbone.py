@@ -36,6 +36,11 @@ class ResidualBackbone(nn.Module):
             for before, width, count in zip((stem, *widths), widths, pairs, strict=False)
         )
 
+    @classmethod
+    def slim(cls, channels: int) -> ResidualBackbone:
+        """One of half the work, for the color cameras."""
+        return cls(channels, widths=(16, 40, 80, 128), pairs=(1, 1, 2, 1))
+
     def forward(self, image: Tensor) -> list[Tensor]:
         x = self.stem(image)
         features = []

@@ -21,28 +21,45 @@ from tools.train.detector import MEAN, STD
 from tools.train.flights import with_truth
 from tools.train.plan import Order, Plan, carry_out
 from tools.train.products import SAMPLES, Meaning
+from tools.train.pyramid_segmenter import PyramidSegmenter
 from tools.train.readers import vistas
+from tools.train.residual_backbone import ResidualBackbone
 from tools.train.salsanext import SalsaNext
 from tools.train.segmenter import ImageSegmenter, LabeledImage, LabeledScan, ScanSegmenter
 
 #: Width and height of an image (848 x 480 and one, see DeepLab), columns and rows of a scan.
 IMAGE_SIZE = (849, 481)
 SCAN_SIZE = (512, 64)
+#: Up to this share of the returns are taken away in training: the sensor is the same, some of its
+#: returns are lost.
+LOST = 0.2
 #: Beyond it a simulated scan has no return either.
 MAX_RANGE_M = 200.0
 
 
-def train_image_segmenter(order: Order, width: float, stride: int, console: Console) -> Path:
-    """DeepLabv3+ on a flight's color cameras; its registry. Raises OverflightError, Interrupted."""
+def train_image_segmenter(
+    order: Order, kind: str, width: float, stride: int, console: Console
+) -> Path:
+    """A "pyramid" on a residual backbone or a "deeplab" times `width`, on a flight's color cameras;
+    its registry. Raises OverflightError, Interrupted."""
     images = read_images(order.data)
     torch.manual_seed(order.seed)
-    network = DeepLab(CHANNELS, width=width, stride=stride)
+    network = (
+        DeepLab(CHANNELS, width=width, stride=stride)
+        if kind == "deeplab"
+        else PyramidSegmenter(ResidualBackbone.slim(3), CHANNELS, stride=stride)
+    )
+    architecture = (
+        f"DeepLabv3+ on MobileNetV3 (minimalistic) x {width:g}"
+        if kind == "deeplab"
+        else "feature pyramid on a slim residual backbone"
+    )
     chosen = images[:: max(1, len(images) // SAMPLES)]
     inputs = [_padded(one.pixels) for one in chosen]
     cells = [_at_corners(one.classes, stride) for one in chosen]
     plan = Plan(
         name="segment-rgb",
-        architecture=f"DeepLabv3+ on MobileNetV3 (minimalistic) x {width:g}, stride {stride}",
+        architecture=f"{architecture}, stride {stride}",
         task=ImageSegmenter(network, images, stride),
         shape=(3, IMAGE_SIZE[1], IMAGE_SIZE[0]),
         outputs=network.output_names,
@@ -71,7 +88,7 @@ def train_scan_segmenter(
     scans = read_scans(order.data, entry.elevation_rad)
     torch.manual_seed(order.seed)
     network = SalsaNext(CHANNELS, width=width)
-    task = ScanSegmenter(network, scans, entry.mean, entry.std)
+    task = ScanSegmenter(network, scans, entry.mean, entry.std, lost=LOST)
     chosen = scans[:: max(1, len(scans) // SAMPLES)]
     inputs = [task.as_input(one) for one in chosen]
     plan = Plan(

@@ -12,18 +12,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from stages.types import CHANNELS
-from tools.train.crops import Augmentation, relit
+from tools.train.crops import relit
 from tools.train.deeplab import DeepLab
 from tools.train.detector import MEAN, STD
+from tools.train.pyramid_segmenter import PyramidSegmenter
+from tools.train.recipes import AHEAD
 from tools.train.salsanext import SalsaNext
 from tools.train.segmentation_loss import IGNORED, class_weights, cross_entropy, lovasz_softmax
 
-#: A color camera's crops: it looks ahead, so nothing is turned.
-LOOKING_AHEAD = Augmentation(zoom=(0.7, 1.6), upside_down=0.0, quarter_turn=0.0)
-
-#: Share of the crops that are cut around a cell of a class, the class drawn first: persons and
-#: bicycles are some thousandths of all cells.
-AROUND_CLASS = 0.5
+#: Share of the crops that are cut around a cell of a class, the class drawn first, the rarer the
+#: likelier (1 / share to this power): persons and bicycles are some thousandths of all cells.
+AROUND_CLASS, ODDS_POWER = 0.7, 0.5
 #: Of the published class weights (1 / share) the square root: with crops around rare classes, the
 #: whole makes a network see persons everywhere.
 WEIGHT_POWER = 0.5
@@ -48,15 +47,16 @@ class LabeledScan:
 
 
 class ImageSegmenter:
-    """Batches of crops and the loss of a DeepLab: `side` is a multiple of 16, plus one."""
+    """Batches of crops and the loss of a network whose corners are aligned: `side` is a multiple
+    of 32, plus one."""
 
     def __init__(
         self,
-        network: DeepLab,
+        network: DeepLab | PyramidSegmenter,
         images: Sequence[LabeledImage],
-        stride: int = 8,
-        side: int = 321,
-        batch_size: int = 4,
+        stride: int,
+        side: int = 257,
+        batch_size: int = 6,
     ) -> None:
         self.network = network
         self._images = images
@@ -69,7 +69,7 @@ class ImageSegmenter:
     def batch(self, random: np.random.Generator) -> dict[str, Tensor]:
         crops = [self._crop(random) for _ in range(self._batch_size)]
         pixels = np.stack([pixels for pixels, _ in crops]).astype(np.float32)
-        # Corners are aligned, so the cells lie on every eighth pixel.
+        # Corners are aligned, so the cells lie on every fourth (eighth, ...) pixel.
         classes = np.stack([one[:: self._stride, :: self._stride] for _, one in crops])
         return {
             "input": (torch.from_numpy(pixels).permute(0, 3, 1, 2) - MEAN) / STD,
@@ -83,7 +83,7 @@ class ImageSegmenter:
         number, around = self._places.draw(random)
         image = self._images[number]
         height, width = image.classes.shape
-        zoom = np.exp(random.uniform(*np.log(LOOKING_AHEAD.zoom)))
+        zoom = np.exp(random.uniform(*np.log(AHEAD.zoom)))
         cut = int(min(round(self._side / zoom), height, width))
         room = np.array([height - cut, width - cut])
         corner = random.integers(room + 1)
@@ -95,9 +95,9 @@ class ImageSegmenter:
         classes = cv2.resize(
             image.classes[y : y + cut, x : x + cut], size, interpolation=cv2.INTER_NEAREST
         )
-        if random.random() < LOOKING_AHEAD.flip:
+        if random.random() < AHEAD.flip:
             pixels, classes = pixels[:, ::-1], classes[:, ::-1]
-        return relit(pixels, LOOKING_AHEAD, random), classes
+        return relit(pixels, AHEAD, random), classes
 
 
 class ScanSegmenter:
@@ -111,17 +111,19 @@ class ScanSegmenter:
         std: NDArray[np.float32],
         columns: int = 256,
         batch_size: int = 4,
+        lost: float = 0.5,
     ) -> None:
         """`mean` and `std` (5,) are those of the stage that will prepare the scans.
 
         A batch holds so many `columns` of each: a part of a turn takes a part of the time, and more
-        places make a better batch.
+        places make a better batch. Half of them lose up to a share of `lost` of their returns.
         """
         self.network = network
         self._scans = scans
         self._mean = mean[:, None, None]
         self._std = std[:, None, None]
         self._columns = columns
+        self._lost = lost
         self._batch_size = batch_size
         self._places = _Places([one.classes for one in scans])
         self._weights = class_weights(self._places.counts, WEIGHT_POWER)
@@ -145,7 +147,7 @@ class ScanSegmenter:
         turned = cut_scan(turned_scan(scan, columns), self._columns)
         if random.random() < 0.5:
             turned = mirrored_scan(turned)
-        share = random.uniform(0, 0.5) * (random.random() < 0.5)
+        share = random.uniform(0, self._lost) * (random.random() < 0.5)
         gone = random.random(turned.classes.shape) < share
         here = (turned.channels[0] > 0) & ~gone
         channels = np.where(here, (turned.channels - self._mean) / self._std, 0)
@@ -203,12 +205,14 @@ class _Places:
             label: np.flatnonzero(cells[:, label] >= MIN_CELLS)
             for label in np.flatnonzero((cells >= MIN_CELLS).any(axis=0))
         }
+        odds = class_weights(self.counts, ODDS_POWER).numpy().astype(np.float64)
+        self._odds = odds[list(self._holders)] / max(odds[list(self._holders)].sum(), 1e-9)
 
     def draw(self, random: np.random.Generator) -> tuple[int, NDArray[np.int64] | None]:
         """The number of an image and, in a share of the draws, a cell (row, column) of a class."""
         if not self._holders or random.random() >= AROUND_CLASS:
             return int(random.integers(len(self._images))), None
-        label = random.choice(list(self._holders))
+        label = random.choice(list(self._holders), p=self._odds)
         number = int(random.choice(self._holders[label]))
         cells = np.flatnonzero(self._images[number] == label)
         cell = cells[random.integers(len(cells))]

@@ -86,6 +86,22 @@ def test_the_neighbors_of_a_point_are_those_of_salsanext_and_their_probabilities
     assert np.quantile(errors, 0.995) < 2e-6
 
 
+def test_a_point_in_a_cell_without_a_return_is_told_by_its_neighbors_in_range() -> None:
+    nearest = np.zeros((9, 9), np.int32)
+    nearest[4, 4] = -1
+    nearest[4, 5] = 1
+    probabilities = np.zeros((9, 9, 16), np.float32)
+    probabilities[..., 1], probabilities[4, 4, 3] = 1.0, 1.0
+    probabilities[4, 5] = np.eye(16, dtype=np.float32)[14]
+    cell = np.full(3, 4 * 9 + 4, np.int32)
+    distance = np.array([20.0, 5.0, 12.0], np.float32)
+    rows, said = rows_by_neighbors(probabilities, nearest, cell, distance, C)
+    # Of 20 m as the wall around, of 5 m as the pole beside; of 12 m nothing stands near.
+    assert said.tolist() == [True, True, False]
+    assert rows[:2, :C].argmax(axis=1).tolist() == [1, 14]
+    assert not rows[2, :C].any()
+
+
 def test_the_classes_of_a_wall_do_not_bleed_onto_the_pole_before_it() -> None:
     nearest = np.zeros((9, 9), np.int32)
     nearest[:, 4] = 1

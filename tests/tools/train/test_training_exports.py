@@ -8,6 +8,7 @@ import multiprocessing
 import sys
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -21,7 +22,7 @@ from rich.console import Console  # noqa: E402
 from accelerators.model_file import read_interface  # noqa: E402
 from accelerators.openvino import OpenVino  # noqa: E402
 from accelerators.registry import Registry  # noqa: E402
-from pipeline.errors import ModelError  # noqa: E402
+from pipeline.errors import DataError, ModelError  # noqa: E402
 from tools.annotated_images import read_annotated  # noqa: E402
 from tools.evaluate_detections import judge, open_model, summary  # noqa: E402
 from tools.train.detect import train_detector  # noqa: E402
@@ -147,6 +148,7 @@ def test_a_training_of_two_steps_leaves_a_model_that_a_graph_can_name(
         attribution="nobody",
         judged_on=data,
         restart=False,
+        as_it_is=False,
         command="overflight train detect-tiny",
     )
     registry = train_detector(TINY, order, "residual", head, Console(quiet=True))
@@ -162,3 +164,12 @@ def test_a_training_of_two_steps_leaves_a_model_that_a_graph_can_name(
     card = (tmp_path / "out" / "detect-tiny.md").read_text()
     for words in ("CC0-1.0", "person 2, vehicle 2", f"{head} on a residual backbone", "AP50"):
         assert words in card
+    written = (tmp_path / "out" / "detect-tiny.onnx").read_bytes()
+    longer = replace(order, output=tmp_path / "none", as_it_is=True)
+    with pytest.raises(DataError, match="holds no training to be written as it is"):
+        train_detector(TINY, longer, "residual", head, Console(quiet=True))
+    again = train_detector(
+        TINY, replace(order, as_it_is=True), "residual", head, Console(quiet=True)
+    )
+    assert again == registry
+    assert (tmp_path / "out" / "detect-tiny.onnx").read_bytes() == written

@@ -13,7 +13,11 @@ torch = pytest.importorskip("torch", reason="the extra 'train' is not installed"
 from rich.console import Console  # noqa: E402
 
 from pipeline.errors import DataError  # noqa: E402
-from tools.train.loop import Interrupted, Training  # noqa: E402
+from tools.train.center_net import CenterNet  # noqa: E402
+from tools.train.loop import Interrupted, Training, begin_with  # noqa: E402
+from tools.train.mobiledet import MobileDet  # noqa: E402
+from tools.train.pyramid_segmenter import PyramidSegmenter  # noqa: E402
+from tools.train.residual_backbone import ResidualBackbone  # noqa: E402
 from tools.train.task import Settings  # noqa: E402
 
 STEPS = 25
@@ -105,6 +109,31 @@ def test_a_broken_checkpoint_is_no_traceback(tmp_path: Path) -> None:
 def test_a_loss_that_is_no_number_ends_the_training_with_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="the loss is nan at step 0"):
         Training(Line(poison=True), settings(), tmp_path).run(QUIET)
+
+
+def averaged(network: torch.nn.Module, folder: Path) -> Path:
+    """A checkpoint with nothing but what another training begins with."""
+    path = folder / "checkpoint.pt"
+    torch.save({"averaged": network.state_dict()}, path)
+    return path
+
+
+def test_a_detector_begins_with_the_backbone_and_pyramid_of_a_segmenter(tmp_path: Path) -> None:
+    segmenter = PyramidSegmenter(ResidualBackbone(3), 16)
+    detector = CenterNet(ResidualBackbone(3), 3)
+    head = detector.heat.weight.clone()
+    assert not begin_with(detector, averaged(segmenter, tmp_path))
+    for name, one in segmenter.state_dict().items():
+        if name.startswith(("backbone.", "pyramid.")):
+            assert torch.equal(detector.state_dict()[name], one)
+    assert torch.equal(detector.heat.weight, head)
+    assert begin_with(CenterNet(ResidualBackbone(3), 3), averaged(detector, tmp_path))
+
+
+def test_a_network_on_another_backbone_cannot_be_begun_with(tmp_path: Path) -> None:
+    other = averaged(CenterNet(MobileDet(3, 0.5), 3), tmp_path)
+    with pytest.raises(DataError, match=r"backbone and pyramid.*name the folder of a training"):
+        begin_with(CenterNet(ResidualBackbone(3), 3), other)
 
 
 def test_the_rate_rises_and_falls_to_nothing() -> None:

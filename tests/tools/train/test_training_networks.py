@@ -10,6 +10,7 @@ from tools.train.blocks import parameters_of, scaled  # noqa: E402
 from tools.train.center_net import CenterNet  # noqa: E402
 from tools.train.deeplab import DeepLab  # noqa: E402
 from tools.train.mobiledet import MobileDet  # noqa: E402
+from tools.train.pyramid_segmenter import PyramidSegmenter  # noqa: E402
 from tools.train.residual_backbone import ResidualBackbone  # noqa: E402
 from tools.train.salsanext import SalsaNext  # noqa: E402
 from tools.train.ssd import BASE, LEVELS, RATIOS, Ssd  # noqa: E402
@@ -80,6 +81,15 @@ def test_deeplab_aligns_its_corners_with_those_of_the_image(
     network = DeepLab(16, width=0.35, stride=stride, pyramid=16).eval()
     scores = network(torch.zeros(1, 3, 49, 97))
     assert scores.shape == (1, 16, *cells)
+    assert ((cells[0] - 1) * stride, (cells[1] - 1) * stride) == (48, 96)
+
+
+@pytest.mark.parametrize(("stride", "cells"), [(4, (13, 25)), (8, (7, 13)), (16, (4, 7))])
+def test_a_pyramid_segmenter_aligns_its_corners_with_those_of_the_image(
+    stride: int, cells: tuple[int, int]
+) -> None:
+    network = PyramidSegmenter(ResidualBackbone(3), 16, stride=stride).eval()
+    assert network(torch.zeros(1, 3, 49, 97)).shape == (1, 16, *cells)
     assert ((cells[0] - 1) * stride, (cells[1] - 1) * stride) == (48, 96)
 
 
