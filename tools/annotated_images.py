@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import DataError
+from stages.sources.pictures import read_picture
 from stages.taxonomy import load_taxonomy
 
 #: What data sets call things (lower case, without blanks), and what we do; others are left out.
@@ -41,12 +42,22 @@ ANNOTATION_FILES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AnnotatedImage:
-    """One image file and what is to be seen in it."""
+    """One image and what is to be seen in it."""
 
-    path: Path
+    path: Path  #: its file; of an image of a flight a name alone
     size: tuple[int, int]  #: (width, height)
     boxes: NDArray[np.float32]  #: (n, 4) x0 y0 x1 y1, pixels
     classes: NDArray[np.int64]  #: (n,) ids of the taxonomy, -1 for a region to be ignored
+    pixels: NDArray[np.uint8] | None = None  #: where there is no file
+
+    def read(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """The pixels. Raises DataError for a file that cannot be read."""
+        return read_picture(self.path) if self.pixels is None else self.pixels
+
+    def without_small(self, min_side_px: float) -> AnnotatedImage:
+        """The same with boxes to be ignored where a side is shorter."""
+        small = (self.boxes[:, 2:] - self.boxes[:, :2]).min(axis=1) < min_side_px
+        return replace(self, classes=np.where(small, -1, self.classes))
 
     @property
     def ignored(self) -> NDArray[np.bool_]:

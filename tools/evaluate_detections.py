@@ -31,9 +31,9 @@ from stages.kernels.average_precision import (
 )
 from stages.kernels.render import draw_box, encode_png
 from stages.sinks.whole_file import whole_file
-from stages.sources.pictures import read_picture
 from stages.taxonomy import load_taxonomy
 from stages.types import Detections, Image
+from tools.annotated_flights import read_flight
 from tools.annotated_images import AnnotatedImage, read_annotated
 from tools.models.check import computing_devices
 
@@ -61,22 +61,32 @@ def evaluate_detections(
     registries: Sequence[Path],
     kind: str | None,
     min_iou: float,
+    min_side_px: float,
     pictures: Path | None,
     as_json: bool,
 ) -> None:
     """Judge, print, and draw what was asked for. Raises OverflightError naming the place."""
     registry = Registry.open(*registries)
     bound, where = open_model(registry, model, kind)
-    annotated = read_annotated(images)
+    channels = bound.spec.input_shape[-1]
+    annotated = [one.without_small(min_side_px) for one in read_any(images, channels)]
     console = Console(stderr=True)
     shown = track(annotated, "judging", console=console, disable=not console.is_terminal)
     judged = judge(bound, shown, min_iou=min_iou, pictures=pictures)
-    verdict = {"model": model, "device": where, "images": len(annotated), "min_iou": min_iou}
+    verdict = {"model": model, "device": where, "images": len(annotated)}
+    verdict |= {"min_iou": min_iou, "min_side_px": min_side_px}
     verdict |= summary(judged)
     if as_json:
         typer.echo(json.dumps(verdict, indent=2))
     else:
         _print(verdict, Console())
+
+
+def read_any(images: Path, channels: int) -> list[AnnotatedImage]:
+    """Annotated images of a folder, or those of flights with so many channels. Raises DataError."""
+    if images.suffix == ".mcap" or any(images.glob("*.mcap")):
+        return read_flight(images, channels)
+    return read_annotated(images)
 
 
 def open_model(registry: Registry, model: str, kind: str | None) -> tuple[BoundModel, str]:
@@ -112,7 +122,7 @@ def judge(
     names = dict.fromkeys(model.spec.head["class_map"].values())
     judged = Judged({name: [] for name in names})
     for image in images:
-        pixels = read_picture(image.path)
+        pixels = image.read()
         message = Message.at(0, Image(pixels, "camera"))
         native = model.encode(stage.prepare(message))
         started = time.perf_counter()
@@ -197,6 +207,8 @@ def _print(verdict: Mapping[str, Any], console: Console) -> None:
         cells = [_percent(row[key]) for key in ("ap", "recall", "precision")]
         table.add_row(name, str(row["objects"]), cells[0], span, *cells[1:])
     console.print(table)
+    if verdict["min_side_px"] > 0:
+        console.print(f"Boxes with a side below {verdict['min_side_px']:g} px are left out.")
     console.print(
         f"{verdict['images']} images; {verdict['device']}: {verdict['infer_ms']:.1f} ms a frame, "
         f"decoding {verdict['finish_ms']:.1f} ms (medians). Recall and precision at a score of "

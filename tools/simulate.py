@@ -154,6 +154,8 @@ def _write(simulation: Simulation, file: McapWriter, console: Console, jobs: int
             for sample, data in made:
                 _append(file, sample, data)
             at(made[0][0].message.received / 1e9)
+    if not simulation.preset.true_map:
+        return
     end = round(seconds * 1e9)
     voxels: Message[LabeledVoxels] = Message.at(end, simulation.voxels())
     sample = Sample(f"{TRUTH}map", voxels)

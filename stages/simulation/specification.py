@@ -139,6 +139,7 @@ class Preset(_Spec):
     scale: float = Field(1.0, gt=0, le=1)  #: of every sensor's resolution
     pose_noise_m: float = Field(0.0, ge=0)  #: of the poses that the vehicle reports
     pose_noise_deg: float = Field(0.0, ge=0)
+    true_map: bool = True  #: whether to record the true map: of a long flight a third of the time
 
 
 class Sensor(_Spec):

@@ -57,11 +57,14 @@ class WriteLabels(Stage):
 class WriteMasks(Stage):
     """Writes the mask of each fused image to `folder`/<stamp in ns>.png: the class id per pixel."""
 
-    def __init__(self, *, folder: Path) -> None:
+    def __init__(self, *, folder: Path, by_camera: bool = False) -> None:
+        """`by_camera` names the files <stamp>_<camera>.png: several cameras share the folder."""
         self._folder = Path(folder)
+        self._by_camera = by_camera
 
     def process(self, fused: Message[FusedImage]) -> None:
-        with whole_file(self._folder / f"{fused.stamp:020d}.png") as file:
+        camera = f"_{fused.payload.camera}" if self._by_camera else ""
+        with whole_file(self._folder / f"{fused.stamp:020d}{camera}.png") as file:
             file.write(encode_png(fused.payload.mask))
 
 

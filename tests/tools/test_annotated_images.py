@@ -39,6 +39,12 @@ def test_categories_become_our_classes_and_the_rest_is_left_out(tmp_path: Path) 
     assert image.size == (64, 48)
 
 
+def test_boxes_with_a_short_side_can_be_left_out_of_the_judgment(tmp_path: Path) -> None:
+    (image,) = read_annotated(coco(tmp_path))
+    assert image.without_small(10).classes.tolist() == image.classes.tolist()
+    assert image.without_small(10.5).ignored.tolist() == [True, True, True]
+
+
 def test_a_folder_without_annotations_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"holds no ann\.json or .*COCO annotations"):
         read_annotated(tmp_path)

@@ -34,9 +34,16 @@ def test_a_flight_is_made_once_and_holds_every_sensor_with_its_truth(
         source = Recording(path=path, topic=topic)
         source.open()
         assert len(list(source.messages())) == made["messages"][topic]
-    # Another seed is another flight: the file is made anew, also on one thread.
-    other = overflight("simulate", "tiny", "-o", "out/tiny.mcap", "--seed", 8, "--json")
-    assert json.loads(other.out)["cached"] is False
+    # Another preset is another flight: the file is made anew; this one wants no map.
+    preset = tmp_path / "short.yaml"
+    preset.write_text(
+        "{rig: m210, seed: 8, duration_s: 0.2, speed_m_s: 2.6, height_m: [4.5, 5.5], scale: 0.25,"
+        " rates_hz: {rgb: 5.0, pose: 50.0}, true_map: false}"
+    )
+    other = json.loads(overflight("simulate", preset, "-o", "out/tiny.mcap", "--json").out)
+    assert other["cached"] is False
+    assert "truth/rgb" in other["messages"]
+    assert "truth/map" not in other["messages"]
 
 
 @pytest.mark.slow

@@ -23,7 +23,9 @@ def judge_detections(
     images: Annotated[
         Path,
         typer.Option(
-            metavar="FOLDER", help="Images with COCO annotations (ann.json).", show_default=False
+            metavar="PATH",
+            help="A folder of images with COCO annotations (ann.json), or a simulated flight.",
+            show_default=False,
         ),
     ],
     kind: Annotated[
@@ -37,6 +39,12 @@ def judge_detections(
     min_iou: Annotated[
         float, typer.Option(metavar="IOU", min=0.05, max=0.95, help="What counts as found.")
     ] = 0.5,
+    min_side_px: Annotated[
+        float,
+        typer.Option(
+            metavar="PX", min=0.0, help="Boxes with a shorter side count neither way, found or not."
+        ),
+    ] = 0.0,
     pictures: Annotated[
         Path | None,
         typer.Option(metavar="FOLDER", help="Draw every image with its boxes.", show_default=False),
@@ -44,7 +52,7 @@ def judge_detections(
     models: ModelFiles = None,
     as_json: AsJson = False,
 ) -> None:
-    """Judge a detector by boxes that people drew: average precision, recall, cost of a frame."""
+    """Judge a detector by drawn or true boxes: average precision, recall, cost of a frame."""
     from tools.evaluate_detections import evaluate_detections
 
     evaluate_detections(
@@ -53,6 +61,7 @@ def judge_detections(
         registries=models or (),
         kind=kind,
         min_iou=min_iou,
+        min_side_px=min_side_px,
         pictures=pictures,
         as_json=as_json,
     )

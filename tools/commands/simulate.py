@@ -20,8 +20,8 @@ def simulate(
         str,
         typer.Argument(
             metavar="PRESET",
-            help="demo, paper, train-rgb, train-scan, train-car, tiny, or a YAML file like those "
-            "in stages/simulation.",
+            help="demo, paper, judge, train-rgb, train-scan, train-car, tiny, or a YAML file like "
+            "those in stages/simulation.",
             show_default=False,
         ),
     ],

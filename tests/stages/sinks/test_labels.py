@@ -59,3 +59,13 @@ def test_a_mask_is_a_gray_picture_of_class_ids(tmp_path: Path) -> None:
     WriteMasks(folder=tmp_path).process(Message.at(TENTH, fused))
     read = cv2.imread(str(tmp_path / "00000000000100000000.png"), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(read, mask)
+
+
+def test_masks_of_several_cameras_share_a_folder(tmp_path: Path) -> None:
+    sink = WriteMasks(folder=tmp_path, by_camera=True)
+    for camera in ("rgb", "rgb_lower"):
+        mask, sure = np.ones((2, 3), np.uint8), np.ones((2, 3), np.float32)
+        fused = FusedImage(mask, sure, None, camera, FusionStatus(0), 0.0)
+        sink.process(Message.at(TENTH, fused))
+    names = [file.name for file in sorted(tmp_path.iterdir())]
+    assert names == ["00000000000100000000_rgb.png", "00000000000100000000_rgb_lower.png"]
