@@ -40,17 +40,10 @@ def chance(i: int, j: int, salt: int) -> Any:
 
 
 @compiled
-def gauss(i: int, j: int, salt: int) -> Any:
-    """A standard normal number of two integers and a salt (G. Box and M. Muller, 1958)."""
-    radius = math.sqrt(-2.0 * math.log(chance(i, j, salt) + 1e-12))
-    return radius * math.cos(6.283185307179586 * chance(i, j, salt + 7919))
-
-
-@compiled
 def bell(bits: int) -> Any:
     """A number of variance 1, about normal, of 32 random bits: the sum of its four bytes.
 
-    Bounded by 3.5: enough for a pixel's noise, at a tenth of the cost of `gauss`.
+    Bounded by 3.5: enough for a pixel's noise, at a tenth of the cost of a logarithm and a cosine.
     """
     x = np.uint32(bits)
     a = x & np.uint32(0xFF00FF)
