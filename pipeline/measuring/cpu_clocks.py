@@ -117,6 +117,10 @@ class OurThread:
         self._since = since  #: its clock when the run began
         self._ended = False
 
+    def begin(self) -> None:
+        """The run begins now; what the thread took before is none of it."""
+        self.ns, self._since = 0, thread_ns(self.tid) or 0
+
     def read(self) -> None:
         if not self._ended:
             self.ns = max(self.ns, (thread_ns(self.tid) or 0) - self._since)

@@ -146,6 +146,8 @@ class Profiler:
         for name, child in self._children.items():
             self._meters[name] = ProcessMeter(child)
         self._collected.clear()
+        for thread in self._ours:  # those that are there already, of other processes' messages
+            thread.begin()
         self._ours.append(OurThread(time.thread_time_ns()))
         self._before = {tid: thread_ns(tid) or 0 for tid in threads()}
         self._process_ns = time.process_time_ns()

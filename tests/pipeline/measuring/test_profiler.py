@@ -7,6 +7,7 @@ import gc
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from time import process_time_ns
 from typing import Any
 
 import pytest
@@ -247,6 +248,31 @@ def test_the_scheduler_is_never_said_to_take_more_than_there_is() -> None:
         cpu = profiler.stop(scheduler_ns=10**12)
     assert cpu.drivers == 0
     assert cpu.unattributed < 10**9
+
+
+def test_what_a_thread_of_the_framework_took_before_the_run_is_none_of_it() -> None:
+    """The control and receiving threads of a part are there while it opens."""
+    profiler = Profiler()
+    ready, go = threading.Event(), threading.Event()
+    began_ns = process_time_ns()
+
+    def work() -> None:
+        with profiler.thread("control"):
+            burn(100 * LOOPS)
+            ready.set()
+            go.wait()
+
+    with profiler:
+        thread = threading.Thread(target=work)
+        thread.start()
+        ready.wait()
+        before_ns = process_time_ns() - began_ns
+        profiler.start(())
+        go.set()
+        thread.join()
+        cpu = profiler.stop(0)
+    assert cpu.drivers < before_ns / 2
+    assert cpu.unattributed > -before_ns / 2
 
 
 def test_the_frameworks_threads_are_counted_after_they_have_ended() -> None:
