@@ -95,12 +95,13 @@ class Supervisor:
         Raises OverflightError where a part does not open.
         """
         shared_files.sweep()
-        with stopped_by_signals(self._on_signal), self._all_closed():
+        with self._all_closed():
             for process in self._processes.values():
                 process.start()
-            self._open()
-            ended = self._serve(duration_s)
-            self._end()
+            self._open()  # Ctrl-C ends it at once: nothing has begun
+            with stopped_by_signals(self._on_signal):
+                ended = self._serve(duration_s)
+                self._end()
             wall_ns = time.monotonic_ns() - self._began_ns
         how = f"signal {self._stop_asked.name}" if self._stop_asked else str(ended)
         report = merged_report(
@@ -113,7 +114,7 @@ class Supervisor:
     def _open(self) -> None:
         """Until all parts are open and have found each other; then give the word."""
         ready_since: float | None = None
-        while self._stop_asked is None:
+        while True:
             for process in self._processes.values():
                 if (how := self._look(process)) is not None:
                     raise DeviceError(f"processes.{process.name}: {how} while it opened")
