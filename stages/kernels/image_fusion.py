@@ -226,7 +226,7 @@ def _cover(tent: NDArray[np.float32], weight: NDArray[np.float32]) -> None:
 def _add_only_tile(
     upper: NDArray[np.float32],
     lower: NDArray[np.float32],
-    part: float,
+    part: np.float32,
     first: int,
     last: int,
     p: NDArray[np.float32],
