@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import chain
 from typing import Any
 
 from pipeline.errors import DataError
@@ -126,6 +127,7 @@ class Explanation:
     triggers: tuple[TriggerStory, ...]
     candidates: tuple[Candidates, ...]  #: by sync edge
     streams: Mapping[str, tuple[list[int], list[int]]]  #: stamps and arrivals of each source
+    gap: str | None = None  #: what is missing after the last trigger that is explained
 
 
 def explain(flight: Flight, stage: str) -> Explanation:
@@ -139,17 +141,15 @@ def explain(flight: Flight, stage: str) -> Explanation:
     reenactment = Reenactment(manifest.topology, offline=manifest.offline, observer=watch)
     watch.scheduler = reenactment.scheduler
     last: Event | None = None
-    begin = 0
-    for page in flight.pages():
-        for event in page.events:
-            if (gap := flight.gap(last, event)) is not None:
-                watch.cut = gap
-                break
-            begin = event.now if last is None else begin
-            watch.passed(event.now)
-            reenactment.step(event)
-            watch.look(event.now)
-            last = event
+    begin, gap = 0, None
+    for event in chain.from_iterable(page.events for page in flight.pages()):
+        if (gap := flight.gap(last, event)) is not None:
+            break
+        begin = event.now if last is None else begin
+        watch.passed(event.now)
+        reenactment.step(event)
+        watch.look(event.now)
+        last = event
     sources = {port.stage for port in watch.streams} & {
         one.name for one in manifest.topology.stages if one.is_source
     }
@@ -159,6 +159,7 @@ def explain(flight: Flight, stage: str) -> Explanation:
         tuple(watch.story(told, begin) for told in watch.told.values()),
         tuple(watch.candidates),
         {str(port): times for port, times in watch.streams.items() if port.stage in sources},
+        gap,
     )
 
 
@@ -169,7 +170,6 @@ class _Watch(Observer):
         self._node = node
         self._trigger = node.trigger
         self.scheduler: Any = None
-        self.cut: str | None = None
         self.told: dict[int, _Told] = {}  #: by number of the trigger
         self.streams: dict[Port, tuple[list[int], list[int]]] = {}
         self.candidates = [

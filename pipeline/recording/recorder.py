@@ -110,8 +110,8 @@ class Recorder:
         self._hashes: list[Row] = []
         self._lost: list[Row] = []
         self._last = 0  #: the time of the last row
+        self._cpu_s = 0.0  #: of the writer's thread
         self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
 
     def __enter__(self) -> Self:
         self.file.__enter__()
@@ -184,17 +184,28 @@ class Recorder:
             self._stop.set()
             thread.join()
 
+    def write_now(self) -> None:
+        """Give everything that is kept to the system: a crash cannot take it any more."""
+        try:
+            self._drain()
+            self.file.flush()
+        except DataError as error:
+            self._end(error)
+
     def _write(self, profiler: Profiler) -> None:
         with profiler.thread("recorder"):
             try:
                 flush_at = time.monotonic() + FLUSH_S
-                while not self._stop.wait(POLL_S):
-                    self._drain()
-                    if self._ended is None and time.monotonic() >= flush_at:
-                        self.file.flush()
+                while self._ended is None and not self._stop.wait(POLL_S):
+                    if time.monotonic() >= flush_at:
+                        self.write_now()
                         flush_at = time.monotonic() + FLUSH_S
+                    else:
+                        self._drain()
             except DataError as error:
                 self._end(error)
+            finally:
+                self._cpu_s = time.thread_time()
 
     def _drain(self) -> None:
         """Write what is in the buffer now."""
@@ -269,6 +280,7 @@ class Recorder:
             "lost_buffer_full": {str(port): count for port, count in self._overrun.items()},
             "lost_no_codec": {str(port): count for port, count in self._unwritten.items()},
             "decisions_lost": self._rows_lost,
+            "cpu_s": round(self._cpu_s, 3),
             "buffer_peak_mb": round(self._peak / 1e6, 1),
             "ended_early": self._ended,
         }

@@ -76,6 +76,7 @@ class Reenactment:
                 f"recorded graph: {type(error).__name__}: {error}"
             ) from None
         self._compare(event)
+        self.scheduler.notices()  # for other processes; here nobody listens, and they would pile up
         started: list[tuple[int, Start]] = []
         for action in actions:
             if not isinstance(action, Check):

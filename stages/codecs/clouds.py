@@ -121,8 +121,7 @@ def _encode(
     foxglove.put_times(proto, message)
     proto.frame_id, proto.point_stride = frame, kinds.itemsize
     proto.pose.orientation.w = 1.0
-    proto.data = table.tobytes()
-    return bytes(proto.SerializeToString())
+    return foxglove.with_data(proto, table.view(np.uint8))
 
 
 def _decode(data: bytes) -> tuple[Any, NDArray[Any]]:

@@ -44,8 +44,7 @@ class _RawPixels:
         proto.height, proto.width = pixels.shape[:2]
         proto.encoding, proto.frame_id, proto.unit_m = encoding, frame, unit_m
         proto.step = proto.width * channels * dtype.itemsize
-        proto.data = pixels.astype(dtype, copy=False).tobytes()
-        return bytes(proto.SerializeToString())
+        return foxglove.with_data(proto, np.ascontiguousarray(pixels, dtype))
 
     def _decode(self, data: bytes) -> tuple[Any, NDArray[Any]]:
         try:

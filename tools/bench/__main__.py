@@ -26,6 +26,7 @@ NAMES = (
     "kernels",
     "plan",
     "trace",
+    "recording",
     "command",
     "transport",
 )

@@ -49,6 +49,8 @@ def explain_file(
         explanation = explain(flight, stage)
     if not explanation.triggers:
         raise DataError(f"{path}: nothing ever came to the trigger of {stage}")
+    if explanation.gap is not None:
+        Console(stderr=True).print(f"Only the beginning: {explanation.gap}", style="yellow")
     chosen = _chosen(explanation, at_s)
     clocks = [clock_of(name, *times) for name, times in explanation.streams.items()]
     found = suggestions(explanation)
@@ -131,6 +133,7 @@ def _page(
     return {
         "stage": explanation.node.name,
         "begin_ns": explanation.begin,
+        "gap": explanation.gap,
         "outcomes": dict(Counter(story.outcome for story in explanation.triggers)),
         "triggers": [asdict(story) for story in stories],
         "clocks": [asdict(clock) for clock in clocks],

@@ -74,6 +74,7 @@ def chosen(graph: Graph, words: Sequence[str]) -> frozenset[Port]:
 
 def manifest_of(graph: Graph, *, offline: bool, process: str = "") -> Manifest:
     """What a recording says of this graph, this machine and these versions."""
+    out = "" if graph.written is None else str(graph.written.out)
     return Manifest(
         graph=graph.name,
         text="" if graph.written is None else graph.written.text(),
@@ -81,7 +82,7 @@ def manifest_of(graph: Graph, *, offline: bool, process: str = "") -> Manifest:
         offline=offline,
         process=process,
         started=datetime.now(UTC).isoformat(timespec="seconds"),
-        options={stage.name: _options(stage) for stage in graph.stages},
+        options={stage.name: _options(stage, out) for stage in graph.stages},
         executors={
             name: {"use": device.use, **_said(device.options)}
             for name, device in graph.devices.items()
@@ -109,13 +110,17 @@ def _cpu_flags() -> set[str]:
     return set()
 
 
-def _options(stage: GraphStage) -> dict[str, str]:
-    """Every option of a stage, also those that the file leaves at their default: seeds among
-    them."""
+def _options(stage: GraphStage, out: str) -> dict[str, str]:
+    """Every option of a stage, also those that the file leaves at their default, seeds among them;
+    the output folder by its word."""
     defaults = {
         option.name: option.default for option in stage.contract.options if not option.required
     }
-    return _said({**defaults, **stage.options})
+    said = _said({**defaults, **stage.options})
+    for name, value in stage.options.items():
+        if out and isinstance(value, Path):
+            said[name] = said[name].replace(out, "$out")
+    return said
 
 
 def _said(options: Mapping[str, Any]) -> dict[str, str]:
