@@ -132,23 +132,15 @@ def test_with_the_supervisor_killed_no_process_stays(run: Callable[..., Run]) ->
 
 
 def test_a_process_that_was_killed_leaves_its_flight_and_begins_another(
-    run: Callable[..., Run], tmp_path: Path
+    run: Callable[..., Run], tmp_path: Path, overflight: Callable[..., Any]
 ) -> None:
-    running = run("--duration", "12", "--record", "f.mcap")
-    running.until(lambda page: page["outputs"].get("work/out", {}).get("count", 0) > 15)
-    os.kill(running.pid("far"), signal.SIGKILL)
-    running.report()
+    graph = run("--duration", "12", "--record", "f.mcap")
+    graph.until(lambda page: page["outputs"].get("work/out", {}).get("count", 0) > 15)
+    os.kill(graph.pid("far"), signal.SIGKILL)
+    graph.report()
     lives = sorted(file.name for file in tmp_path.glob("f.far*.mcap"))
     assert lives == ["f.far.2.mcap", "f.far.mcap"]
     for life in lives:
-        done = subprocess.run(
-            [sys.executable, "-m", "tools.main", "info", life, "--json"],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=60,
-        )
-        assert done.returncode == 0, done.stderr
-        info = json.loads(done.stdout)
+        info = json.loads(overflight("info", life, "--json").out)
         assert info["decisions"] > (5 if life == "f.far.mcap" else 0)
         assert info["whole"] == (life == "f.far.2.mcap")
