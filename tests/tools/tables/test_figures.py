@@ -6,6 +6,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="training needs the extra 'train'")
 
 from stages.taxonomy import load_taxonomy
 from tools.tables.figures import draw_views

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+pytest.importorskip("torch", reason="training needs the extra 'train'")
+
 from stages.labels import LabeledVoxels
 from stages.observed import Observation, Said
 from stages.types import Scan
@@ -164,8 +166,6 @@ def test_a_voxel_that_a_map_lacks_is_a_miss_unless_the_view_is_the_cameras(
 def test_a_mistake_is_said_in_a_line(
     words: list[str], said: str, overflight: Callable[..., object]
 ) -> None:
-    if words[:2] == ["--table", "real"]:
-        pytest.importorskip("torch", reason="training needs the extra 'train'")
     answer = overflight("evaluate", *words)
     assert answer.code == 2
     assert said in " ".join(answer.err.replace("│", " ").split())
