@@ -11,6 +11,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import Any, Protocol
 
 from pipeline.clock import Clock
@@ -23,7 +24,8 @@ from pipeline.scheduling.bounds import INFINITY
 from pipeline.scheduling.events import Bound, Notice, Run
 from pipeline.scheduling.partition import Link, Part
 from pipeline.scheduling.topology import Policy, Port, Sync
-from pipeline.transport.channel import Arrival, Channel, Transport
+from pipeline.transport.bad_wire import BadWire, WireFaults
+from pipeline.transport.channel import Arrival, Channel, Send, Transport
 from pipeline.transport.envelope import NO_BOUND, Envelope, Kind
 from pipeline.transport.schema import PayloadSchema
 
@@ -55,8 +57,11 @@ class Exchange:
         enter_thread: Callable[[], None],
         *,
         tells_clock: bool = False,
+        faults: Mapping[Port, WireFaults] = MappingProxyType({}),
     ) -> None:
-        """`tells_clock`: other hosts follow the graph's clock of this part."""
+        """`tells_clock`: other hosts follow the graph's clock of this part. `faults`: of links."""
+        self._faults = faults
+        self._bad_wires: list[BadWire] = []
         self._tells_clock = tells_clock
         self._clock: Clock | None = None
         self._beacon: ClockBeacon | None = None
@@ -91,6 +96,7 @@ class Exchange:
         }
         self._told = dict.fromkeys(self._taken, -1)
         self._newest: dict[Port, int] = {}  #: the last seq that arrived
+        self._lost: dict[Port, int] = {}  #: the last seq that is known not to come
         self._lives: dict[Port, int] = {}  #: the sender's epoch
         self._lock = threading.Lock()
 
@@ -119,10 +125,12 @@ class Exchange:
         incoming = self._part.incoming
         return [link.port for link in incoming if link.local and link.port not in self._heard]
 
-    def begin(self, driver: Driver, clock: Clock) -> None:
-        """From now on what arrives goes to the driver."""
+    def begin(self, driver: Driver, clock: Clock, origin: int = 0) -> None:
+        """From now on what arrives goes to the driver; the clock began at `origin`."""
         self._driver = driver
         self._clock = clock
+        for wire in self._bad_wires:
+            wire.begin(lambda: (clock.now() - origin) / 1e9)
         self._begun.set()
 
     def gone(self, process: str) -> None:
@@ -132,7 +140,9 @@ class Exchange:
                 self._driver.bounded(link.port, INFINITY)
 
     def end(self) -> None:
-        """Nothing goes to the driver any more."""
+        """Nothing goes to the driver any more; what a slow link holds goes out."""
+        for wire in self._bad_wires:
+            wire.close()
         self._driver = None
         self._begun.set()
 
@@ -150,7 +160,10 @@ class Exchange:
             stages = self._taken[notice.port]
             if notice.seq > self._newest.get(notice.port, -1):
                 return  # of the sender's earlier life
-            stages[notice.stage] = max(stages[notice.stage], notice.seq)
+            seq = notice.seq
+            if seq == self._newest.get(notice.port):  # and what was lost after it
+                seq = max(seq, self._lost.get(notice.port, -1))
+            stages[notice.stage] = max(stages[notice.stage], seq)
             if min(stages.values()) <= self._told[notice.port]:
                 return
             self._told[notice.port] = min(stages.values())
@@ -189,6 +202,8 @@ class Exchange:
             self._newest[port] = envelope.seq
             seal(arrival.payload)
             driver.arrived(port, envelope.message(arrival.payload))
+        elif arrival.lost and port in self._taken:
+            self._note_lost(port, envelope.seq)
         bound = INFINITY if envelope.kind is Kind.END else envelope.bound
         if bound > max(envelope.stamp + 1, NO_BOUND):
             driver.bounded(port, bound)
@@ -201,7 +216,21 @@ class Exchange:
         with self._lock:
             self._taken[port] = dict.fromkeys(self._taken[port], -1)
             self._told[port] = -1
-            self._newest[port] = -1
+            self._newest[port] = self._lost[port] = -1
+        self._tell_taken(port)
+
+    def _note_lost(self, port: Port, seq: int) -> None:
+        """News tell of lost messages, the last of them `seq`: nobody here can take them, so the
+        sender is told as if they were, once what came before them was."""
+        with self._lock:
+            stages, newest = self._taken[port], self._newest.get(port, -1)
+            self._lost[port] = max(seq, newest)
+            for stage, taken in stages.items():
+                if taken >= newest:
+                    stages[stage] = max(taken, seq)
+            if min(stages.values()) <= self._told[port]:
+                return
+            self._told[port] = min(stages.values())
         self._tell_taken(port)
 
     def _enter(self) -> None:
@@ -267,6 +296,7 @@ class Exchange:
             depth=max(64, link.window or 0) if link.local else max(4, link.window or 0),
             zstd=ZSTD_LEVEL if link.compress == "zstd" else None,
             compressor=self._compressors.get(link.port),
+            wire=self._wire_of(link.port) if link.origin == self._part.process else None,
         )
 
     def _window(self, link: Link, reader: str) -> Channel:
@@ -275,4 +305,12 @@ class Exchange:
             str(link.port),
             _NO_PAYLOAD,
             local=link.local,
+            wire=self._wire_of(link.port) if reader == self._part.process else None,
         )
+
+    def _wire_of(self, port: Port) -> Callable[[Send], Send] | None:
+        """What a port's faults lay before this end; both ways are cut alike."""
+        if port not in self._faults:
+            return None
+        self._bad_wires.append(BadWire(self._faults[port], str(port)))
+        return self._bad_wires[-1].lay

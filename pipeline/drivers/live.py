@@ -21,6 +21,7 @@ from typing import Any, Protocol
 
 from pipeline.clock import ScaledClock
 from pipeline.drivers.executor import Executor, Pending
+from pipeline.drivers.faulty import Sampled, Unheard
 from pipeline.drivers.sealing import seal
 from pipeline.errors import DeviceError
 from pipeline.measuring.ending import Ended
@@ -98,7 +99,7 @@ class LiveDriver:
         topology: Topology,
         scheduler: Scheduler,
         workers: Mapping[str, Executor],
-        sources: Mapping[str, Iterator[Message[Any]]],
+        sources: Mapping[str, Iterator[Sampled]],
         clock: ScaledClock,
         guard: Guard,
         statistics: Statistics,
@@ -240,7 +241,7 @@ class LiveDriver:
 
     # ------------------------------------------------------------------ source threads
 
-    def _read(self, name: str, messages: Iterator[Message[Any]]) -> None:
+    def _read(self, name: str, messages: Iterator[Sampled]) -> None:
         with self._profiler.thread(f"src-{name}"):
             try:
                 self._pace(name, messages)
@@ -253,7 +254,7 @@ class LiveDriver:
             except BaseException as error:
                 self._crashed(error)
 
-    def _pace(self, name: str, messages: Iterator[Message[Any]]) -> None:
+    def _pace(self, name: str, messages: Iterator[Sampled]) -> None:
         """Publish each message when it arrives, until the source ends, fails, or is stopped."""
         port = Port(name)
         while True:
@@ -267,7 +268,8 @@ class LiveDriver:
                 return
             if message is None:
                 return
-            seal(message.payload)
+            if isinstance(message, Message):
+                seal(message.payload)
             spent = self._profiler.since(before)
             while (wait := self._clock.seconds_until(message.received)) > 0:
                 # A stop is seen within a tick; to wait for it would be ten calls of Python, at
@@ -275,8 +277,15 @@ class LiveDriver:
                 time.sleep(min(wait, TICK_S))
                 if self._stop.is_set():
                     return
-            if not self._publish(name, port, message, spent):
+            if isinstance(message, Unheard):
+                self._say(name, message)
+            elif not self._publish(name, port, message, spent):
                 return
+
+    def _say(self, name: str, unheard: Unheard) -> None:
+        if unheard.text is not None:
+            with self._lock:
+                self._statistics.event("fault", name, unheard.text, unheard.received)
 
     def _crashed(self, error: BaseException) -> None:
         """A defect in the scheduler or this driver: end the run; `run` raises it."""

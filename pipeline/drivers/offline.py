@@ -13,10 +13,10 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
 
 from pipeline.clock import ManualClock
 from pipeline.drivers.executor import Worker
+from pipeline.drivers.faulty import Sampled
 from pipeline.drivers.sealing import seal
 from pipeline.measuring.ending import Ended
 from pipeline.measuring.profiler import Spent
@@ -35,7 +35,7 @@ class OfflineDriver:
         topology: Topology,
         scheduler: Scheduler,
         workers: Mapping[str, Worker],
-        sources: Mapping[str, Iterator[Message[Any]]],
+        sources: Mapping[str, Iterator[Sampled]],
         clock: ManualClock,
         statistics: Statistics,
         on_failure: OnFailure,
@@ -70,7 +70,7 @@ class OfflineDriver:
         return ended
 
     def _pull_all(self, duration_s: float | None, tick: Callable[[], None]) -> Ended:
-        heads: dict[str, Message[Any]] = {}
+        heads: dict[str, Sampled] = {}
         for name in self._sources:
             self._advance(name, heads)
         end = None
@@ -82,13 +82,16 @@ class OfflineDriver:
                 if message.stamp >= end:
                     return Ended.DURATION
             self._clock.advance_to(max(self._clock.now(), message.received))
-            self._work_off(self._scheduler.publish(Port(name), message, self._clock.now()))
+            if isinstance(message, Message):
+                self._work_off(self._scheduler.publish(Port(name), message, self._clock.now()))
+            elif message.text is not None:
+                self._statistics.event("fault", name, message.text, message.received)
             self._advance(name, heads)
             with self._profiler.showing():
                 tick()
         return Ended.STOPPED if heads else Ended.SOURCES
 
-    def _advance(self, name: str, heads: dict[str, Message[Any]]) -> None:
+    def _advance(self, name: str, heads: dict[str, Sampled]) -> None:
         """Read the next message of a source; at its end, or when it fails, its stream ends."""
         before = self._profiler.read()
         try:
@@ -98,7 +101,8 @@ class OfflineDriver:
             message = None
         self._statistics.spent(name, Step.PROCESS, None, self._profiler.since(before))
         if message is not None:
-            seal(message.payload)
+            if isinstance(message, Message):
+                seal(message.payload)
             heads[name] = message
             return
         heads.pop(name, None)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.clock import Clock, ManualClock, ScaledClock
 from pipeline.drivers.devices import Devices
 from pipeline.drivers.executor import Executor, Worker
+from pipeline.drivers.faulty import Sampled, with_faults
 from pipeline.drivers.live import LiveDriver, freeze
 from pipeline.drivers.offline import OfflineDriver
 from pipeline.errors import OverflightError
@@ -143,7 +144,7 @@ def run_graph(
             name: stage.messages() for name, stage in stages.items() if isinstance(stage, Source)
         }
         origin: int | None = None
-        if speed is not None:
+        if speed is not None or graph.faults.sources:
             sources, origin = _first_arrivals(sources)
         go = None
         if joint is not None:
@@ -151,22 +152,28 @@ def run_graph(
                 go = joint.ready(origin)
         if trace is not None:
             sources = {name: trace.samples(name, source) for name, source in sources.items()}
+        began = (origin or 0) if go is None else go.origin
+        sampled = with_faults(sources, graph.faults.sources, began)
+        if joint is None and (left := graph.faults.between_processes):
+            text = "left out: all stages share one process here"
+            for name in left:
+                statistics.event("fault", name, text, began)
         driver: LiveDriver | OfflineDriver
         if speed is None:
             clock = ManualClock()
             driver = OfflineDriver(
-                graph.topology, scheduler, workers, sources, clock, statistics, on_failure
+                graph.topology, scheduler, workers, sampled, clock, statistics, on_failure
             )
         else:
-            clock = ScaledClock(origin or 0, speed)
+            clock = ScaledClock(began, speed)
             if go is not None:
                 clock = ScaledClock(go.origin, speed, began_ns=go.began_ns)
-                sources = _from_now_on(sources, clock) if go.late else sources
+                sampled = _from_now_on(sampled, clock) if go.late else sampled
             driver = LiveDriver(
                 graph.topology,
                 scheduler,
                 executors,
-                sources,
+                sampled,
                 clock,
                 devices,
                 statistics,
@@ -184,7 +191,7 @@ def run_graph(
         with stopped_by_signals(on_signal):
             if joint is not None:
                 assert isinstance(driver, LiveDriver)
-                joint.exchange.begin(driver, clock)
+                joint.exchange.begin(driver, clock, began)
                 joint.running(driver)
             how = driver.run(duration_s, tick)
             if joint is not None:
@@ -252,8 +259,8 @@ def _first_arrivals(
 
 
 def _from_now_on(
-    sources: Mapping[str, Iterator[Message[Any]]], clock: ScaledClock
-) -> dict[str, Iterator[Message[Any]]]:
+    sources: Mapping[str, Iterator[Sampled]], clock: ScaledClock
+) -> dict[str, Iterator[Sampled]]:
     """The sources without what arrived while their process was not there."""
     now = clock.now()
     return {

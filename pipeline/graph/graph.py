@@ -14,6 +14,7 @@ from pipeline.graph.binding import check_binding
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.contract import Contract
 from pipeline.graph.expect import check_expect
+from pipeline.graph.faults import GraphFaults, check_faults
 from pipeline.graph.load import load_tree
 from pipeline.graph.nodes import Mark, Node
 from pipeline.graph.parameters import resolve_parameters
@@ -84,6 +85,7 @@ class Graph:
     placement: Placement = NOWHERE  #: the process of each stage; a plan needs none
     processes: Mapping[str, GraphProcess] = field(default_factory=dict)
     hosts: Mapping[str, GraphHost] = field(default_factory=dict)
+    faults: GraphFaults = field(default_factory=GraphFaults)  #: what goes wrong, and when
     written: Written | None = None  #: the resolved file; None where the graph came from no file
 
     def part(self, process: str) -> tuple[Graph, Part]:
@@ -143,6 +145,7 @@ def load_graph(
     check_structure(nodes, report)
     placement, processes, hosts = check_processes(spec, nodes, report)
     expect = check_expect(spec.expect, contracts, report)
+    faults = check_faults(spec.faults, contracts, nodes, placement, report)
     report.raise_mistakes()
 
     made = [(node, part) for node in nodes if (part := parts[node.name]) is not None]
@@ -179,6 +182,7 @@ def load_graph(
         placement=placement,
         processes=MappingProxyType(dict(processes)),
         hosts=MappingProxyType(dict(hosts)),
+        faults=faults,
         written=Written(tree, report.paths, out),
     )
 

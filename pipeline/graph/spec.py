@@ -218,6 +218,71 @@ class HostSpec(Spec):
     )
 
 
+Seconds = Annotated[float, Field(ge=0, le=_MAX_MS / 1e3)]
+
+
+class SourceFaultSpec(Spec):
+    """What goes wrong with a source. Seconds count from the graph's first sample."""
+
+    dies_at_s: Seconds | None = Field(None, description="Nothing comes from here on.")
+    returns_at_s: Seconds | None = Field(
+        None, description="Until here; without it the source stays dead."
+    )
+    repeats_at_s: Seconds | None = Field(
+        None, description="The last message comes again here, with the same stamp."
+    )
+    jumps_at_s: Seconds | None = Field(
+        None, description="Its clock jumps: stamps from here on are shifted by jumps_by_ms."
+    )
+    jumps_by_ms: Annotated[float, Field(ge=-_MAX_MS, le=_MAX_MS)] | None = Field(
+        None, description="jumps_at_s: by so much; below 0 backward."
+    )
+    stalls_at_s: Seconds | None = Field(
+        None, description="What comes from here on is held up, and arrives stalls_for_s later."
+    )
+    stalls_for_s: Seconds | None = Field(
+        None, description="stalls_at_s: for so long; then all of it arrives at once."
+    )
+
+
+class ProcessFaultSpec(Spec):
+    """What goes wrong with a process."""
+
+    killed_at_s: tuple[Seconds, ...] = Field(
+        (), min_length=1, description="It gets SIGKILL then, as often as times are listed."
+    )
+
+
+class LinkFaultSpec(Spec):
+    """What goes wrong with the way of a port's messages to other processes, on the wire."""
+
+    cut_at_s: Seconds | None = Field(None, description="Nothing gets through from here on.")
+    restored_at_s: Seconds | None = Field(
+        None, description="Until here; without it the link stays cut."
+    )
+    delay_ms: Milliseconds | None = Field(None, description="Everything arrives so much later.")
+    drops: Annotated[float, Field(ge=0, le=1)] | None = Field(
+        None, description="The share of messages that are lost, drawn by the seed."
+    )
+
+
+class FaultsSpec(Spec):
+    """What goes wrong and when, to see what the graph does then; mostly in an overlay."""
+
+    sources: Mapping[Name, SourceFaultSpec] = Field(
+        default_factory=dict, description="By source: it dies, returns, repeats, jumps, stalls."
+    )
+    processes: Mapping[Name, ProcessFaultSpec] = Field(
+        default_factory=dict, description="By process: it is killed."
+    )
+    links: Mapping[str, LinkFaultSpec] = Field(
+        default_factory=dict,
+        description="By output (a stage, or stage/port) that other processes read: it is cut or "
+        "slow, or loses messages.",
+    )
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="Of what is drawn at random.")
+
+
 #: Keys of a device block that are ours, not options of its class.
 DEVICE_KEYS = tuple(DeviceSpec.model_fields)
 
@@ -288,6 +353,11 @@ class GraphSpec(Spec):
     hosts: Mapping[Name, HostSpec] = Field(
         default_factory=dict,
         description="The hosts that processes name with `host`; without them all run on this one.",
+    )
+    faults: FaultsSpec = Field(
+        default_factory=lambda: FaultsSpec.model_validate({}),
+        description="What goes wrong in this run, and when. Of emulated devices: "
+        "devices.NAME.faults.",
     )
     expect: ExpectSpec = Field(
         default_factory=lambda: ExpectSpec.model_validate({}),

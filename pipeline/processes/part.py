@@ -114,6 +114,7 @@ def _run(
             schemas_of(whole, part),
             profiler.enter_thread,
             tells_clock=header["tells_clock"],
+            faults=whole.faults.links,
         )
         follower = ClockFollower(header["speed"])
         options = LinkOptions(header["listen"], header["connect"], header["zenoh"], header["run"])

@@ -6,6 +6,7 @@ there. One that is long overdue is the end of the process, which hangs.
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Mapping
 from typing import Any
@@ -33,6 +34,7 @@ class PartProcess:
         self.clock: tuple[int, int] | None = None  #: another host's clock, as it heard it
         self.text = ""  #: why it failed
         self.report: dict[str, Any] | None = None
+        self.ended_at: float | None = None  #: when it left that, until the others are told
         self.page: dict[str, Any] = {}  #: how its run stands
         self.lives = 0  #: started so often
         self.joined = 0  #: the life that was given the word to go
@@ -106,6 +108,11 @@ class PartProcess:
             return str(error)
         return None
 
+    def kill(self) -> None:
+        """SIGKILL, as anybody could send it; `poll` finds out."""
+        if self._child.alive:
+            self._child.kill()
+
     def close(self) -> None:
         """End the process, however it is."""
         self._child.close()
@@ -124,6 +131,7 @@ class PartProcess:
             self.page = from_bytes(arrays) or self.page
         elif call == "report":
             self.report = from_bytes(arrays)
+            self.ended_at = time.monotonic()
 
     def _lost(self, how: str) -> str | None:
         self.state = None

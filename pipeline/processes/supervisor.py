@@ -22,6 +22,7 @@ from pipeline.measuring.statistics import Event
 from pipeline.measuring.status import Pages
 from pipeline.processes.control import State
 from pipeline.processes.endpoints import ends_of, host_of_clock
+from pipeline.processes.fault_plan import planned_faults
 from pipeline.processes.merging import merged_page, merged_report, snapshot_of
 from pipeline.processes.process import PartProcess
 from pipeline.transport import shared_files
@@ -33,6 +34,9 @@ POLL_S, PAGE_S = 0.05, 0.5
 MEETING_S = 10.0
 #: From the word to go until the graph's clock starts: all must have heard it.
 HEAD_START_NS = 300_000_000
+#: So long after a process ended the others are told, whom the end of its streams may not reach: a
+#: link may be cut.
+FAREWELL_S = 2.0
 #: How long an ending process may take for its last runs, its files and its report.
 ENDING_S = 30.0
 
@@ -88,6 +92,7 @@ class Supervisor:
             )
             for name in names
         }
+        self._faults = planned_faults(graph.faults, graph.placement, names)
 
     def run(self, duration_s: float | None) -> RunResult:
         """Run to the end of all parts, for `duration_s`, or to Ctrl-C.
@@ -162,6 +167,7 @@ class Supervisor:
     def _serve(self, duration_s: float | None) -> Ended:
         end = None if duration_s is None else self._began_ns / 1e9 + duration_s
         while self._stop_asked is None:
+            self._do_faults()
             for process in self._processes.values():
                 self._attend(process)
             if all(process.over for process in self._processes.values()):
@@ -172,9 +178,22 @@ class Supervisor:
             time.sleep(POLL_S)
         return Ended.STOPPED
 
+    def _do_faults(self) -> None:
+        """Tell of the faults that are due, and kill whom they kill."""
+        elapsed_s = (time.monotonic_ns() - self._began_ns) / 1e9 * self._speed
+        while self._faults and self._faults[0].at_s <= elapsed_s:
+            fault = self._faults.popleft()
+            self._event("fault", fault.subject, fault.text)
+            if fault.kills:
+                self._processes[fault.subject].kill()
+
     def _attend(self, process: PartProcess) -> None:
         """Keep a process alive, let it go on where it was started anew, take its report."""
         if process.over:
+            ended = process.ended_at
+            if ended is not None and time.monotonic() - ended > FAREWELL_S:
+                process.ended_at = None
+                self._tell_gone(process)
             return
         how = self._look(process)
         if how is not None:
@@ -194,6 +213,10 @@ class Supervisor:
         if reason is None:
             return
         self._event("process_given_up", process.name, reason)
+        self._tell_gone(process)
+
+    def _tell_gone(self, process: PartProcess) -> None:
+        """The streams of a process end for the others."""
         for other in self._processes.values():
             if not other.over:
                 other.call({"call": "gone", "process": process.name})

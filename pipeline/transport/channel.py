@@ -14,6 +14,9 @@ from typing import Any, NamedTuple, Protocol
 from pipeline.transport.envelope import Envelope
 from pipeline.transport.schema import PayloadSchema
 
+#: Takes an envelope and what goes with it; must not wait unless the channel says `block`.
+Send = Callable[[bytes, bytes], None]
+
 #: A 12-megapixel RGB image with room to spare; a channel may say otherwise.
 MAX_BYTES = 64 << 20
 
@@ -61,6 +64,8 @@ class Channel:
     depth: int = 32
     zstd: int | None = None  #: level for payloads that go whole; None: as they are
     compressor: Compressor | None = None
+    #: What lies between this end and the network, where a graph's faults say so.
+    wire: Callable[[Send], Send] | None = None
 
 
 class Arrival(NamedTuple):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import zstandard
 
 from pipeline.errors import WireError
-from pipeline.transport.channel import Channel, ChannelStatistics
+from pipeline.transport.channel import Channel, ChannelStatistics, Send
 from pipeline.transport.codec import Encoded, encode
 from pipeline.transport.envelope import NO_BOUND, Envelope, Kind, Place, pack
 from pipeline.transport.ring import RingWriter
@@ -22,9 +21,6 @@ INLINE_BYTES = 16 << 10
 #: How long a channel may be silent before its last news are sent again, for whoever came late.
 REPEAT_S = 0.2
 
-#: Takes an envelope and what goes with it; must not wait unless the channel says `block`.
-Send = Callable[[bytes, bytes], None]
-
 
 class Outlet:
     """Numbers, encodes and sends the messages of one channel; one lock keeps their order, since
@@ -34,7 +30,7 @@ class Outlet:
         self, channel: Channel, send: Send, *, run: str, epoch: int, folder: Path = FOLDER
     ) -> None:
         self.channel = channel
-        self._send = send
+        self._send = send if channel.wire is None else channel.wire(send)
         self._epoch = epoch
         self._schema = channel.schema.hash
         self._ring = RingWriter(run, slots=channel.slots, budget=channel.ring_bytes, folder=folder)
@@ -66,7 +62,7 @@ class Outlet:
                 self._sent_at = time.monotonic()
                 last = self._last
                 if last.kind is Kind.MESSAGE:  # of a message only the bound after it is news
-                    last = Envelope(Kind.BOUND, last.port, last.bound)
+                    last = Envelope(Kind.BOUND, last.port, last.bound, seq=last.seq)
                 self._send(self._stamped(last, Place()), b"")
         finally:
             self._lock.release()

@@ -10,6 +10,8 @@ from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import yaml
+
 from pipeline.errors import DataError
 from pipeline.recording.channels import topic_of
 from pipeline.recording.flight import Flight
@@ -54,9 +56,11 @@ def own_graph(flight: Flight, name: str) -> Iterator[Path]:
     text = flight.manifest.text
     if not text:
         raise DataError(f"{flight.path}: holds no graph file; name one before it")
+    graph = yaml.safe_load(text)
+    graph.pop("faults", None)  # its recorded messages have been through them
     with tempfile.TemporaryDirectory(prefix="overflight-") as folder:
         file = Path(folder) / f"{name}.yaml"
-        file.write_text(text)
+        file.write_text(yaml.safe_dump(graph, sort_keys=False, allow_unicode=True))
         yield file
 
 

@@ -91,7 +91,7 @@ class Ran:
 def drive(
     nodes: Sequence[StageNode],
     stages: Mapping[str, Stage],
-    sources: Mapping[str, Iterator[Message[Any]]],
+    sources: Mapping[str, Iterator[Any]],
     *,
     live: bool,
     models: Mapping[str, Mapping[str, BoundModel]] | None = None,

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from pipeline.scheduling.bounds import INFINITY
 from pipeline.scheduling.events import Bound, InputSet, Run, Step, Took
 from pipeline.scheduling.partition import Placement, part_of
 from pipeline.scheduling.topology import Input, Policy, Port, StageNode, Topology
+from pipeline.transport.bad_wire import WireFaults
 from pipeline.transport.loopback import LoopbackNetwork
 from pipeline.transport.schema import PayloadSchema
 
@@ -41,8 +42,11 @@ class Told:
 class Pair:
     """The two parts of a graph of one edge, over a loopback."""
 
-    def __init__(self, folder: Path, policy: Policy) -> None:
+    def __init__(
+        self, folder: Path, policy: Policy, faults: Mapping[Port, WireFaults] | None = None
+    ) -> None:
         self._network, self._folder = LoopbackNetwork(), folder
+        self._faults = faults or {}
         trigger = Input("x", (PORT,), policy=policy, size=2)
         self._topology = Topology((StageNode("a"), StageNode("b", (trigger,), outputs=())))
         self._placement = Placement({"a": "one", "b": "two"}, {"one": "here", "two": "here"})
@@ -58,10 +62,16 @@ class Pair:
             self.entered += 1
 
         part = part_of(self._topology, self._placement, process)
-        exchange = Exchange("run", part, {PORT: PayloadSchema.of([str])}, enter)
+        exchange = Exchange(
+            "run", part, {PORT: PayloadSchema.of([str])}, enter, faults=self._faults
+        )
         exchange.open(self._network.join(folder=self._folder))
         exchange.connect()
         return exchange
+
+    def repeat_news(self) -> None:
+        """As the transport does after a silence."""
+        self._network.ask_for_news(self.one.key(self.sender.link))
 
     def send(self, number: int) -> None:
         message = Message(f"m{number}", number, number, number, 50, number, (), "igpu", True)
@@ -129,3 +139,35 @@ def test_both_ends_count(pair: Pair) -> None:
     assert pair.one.books()["out"]["a.out@here"] == {"port": "a/out", "sent": 1, "failed": 0}
     end = pair.two.books()["in"]["a/out"]
     assert (end["received"], end["lost"], end["refused"]) == (1, 0, {})
+
+
+def test_what_a_cut_link_lost_does_not_hold_the_sender_back(tmp_path: Path) -> None:
+    pair = Pair(tmp_path, Policy.BLOCK, {PORT: WireFaults(cut_at_s=1, restored_at_s=2)})
+    pair.one.begin(pair.origin, clock := ManualClock())
+    pair.two.begin(pair.reader, clock)
+    pair.send(0)
+    clock.advance_to(1_500_000_000)
+    pair.send(1)
+    pair.send(2)  # the window is full, and nobody will ever take these
+    clock.advance_to(2_000_000_000)
+    pair.repeat_news()
+    assert pair.origin.over == []  # the reader still has the first
+    pair.two.tell(Took(PORT, "b", 0))
+    assert pair.origin.over == [0, 1, 2]
+    assert pair.two.books()["in"]["a/out"]["lost"] == 2
+    pair.send(3)
+    pair.two.tell(Took(PORT, "b", 3))
+    assert pair.origin.over == [0, 1, 2, 3]
+
+
+def test_what_was_lost_after_all_was_taken_is_told_at_once(tmp_path: Path) -> None:
+    pair = Pair(tmp_path, Policy.BLOCK, {PORT: WireFaults(cut_at_s=1, restored_at_s=2)})
+    pair.one.begin(pair.origin, clock := ManualClock())
+    pair.two.begin(pair.reader, clock)
+    pair.send(0)
+    pair.two.tell(Took(PORT, "b", 0))
+    clock.advance_to(1_500_000_000)
+    pair.send(1)
+    clock.advance_to(2_000_000_000)
+    pair.repeat_news()
+    assert pair.origin.over == [0, 1]
