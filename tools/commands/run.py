@@ -147,7 +147,7 @@ def run(
     """
     factor = parse_speed(speed)
     from tools.recording.flight_graph import is_flight
-    from tools.run import run_file
+    from tools.running.run import run_file
 
     own = flight is None and is_flight(graph)
     if as_recorded:

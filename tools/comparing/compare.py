@@ -29,7 +29,7 @@ from tools.comparing.compare_timing import Timer, timed
 from tools.comparing.comparison import COMPARISONS, Comparison
 from tools.comparing.graph_difference import changed_stages
 from tools.load import open_graph
-from tools.run import make_room_for
+from tools.running.run import make_room_for
 from tools.validate import print_warnings
 from tools.watching.progress import Progress
 

@@ -23,7 +23,7 @@ from tools.profiling.profile_costs import CostTable
 from tools.profiling.profile_page import profile_page
 from tools.profiling.profile_sweep import Point, Sweep, points, run_points
 from tools.profiling.profile_table import print_profile, print_sweep
-from tools.run import make_room_for
+from tools.running.run import make_room_for
 from tools.validate import print_warnings
 from tools.watching.progress import Progress
 

@@ -1,6 +1,6 @@
 """The process of one part of a graph: what the supervisor of `overflight run` starts.
 
-Run as ``python -m tools.part_process DESCRIPTOR PARENT NAME``.
+Run as ``python -m tools.running.part_process DESCRIPTOR PARENT NAME``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,31 +21,12 @@ if TYPE_CHECKING:
     from pipeline.recording.recorder import Recorder
 
 #: What the supervisor runs with ``python -m``.
-MODULE = "tools.part_process"
+MODULE = "tools.running.part_process"
 PR_SET_PDEATHSIG = 1
 
 
-def opening(
-    path: Path,
-    settings: Sequence[str],
-    overlays: Sequence[Path],
-    models: Sequence[Path],
-    out: Path,
-    record: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:
-    """What a part needs to load the graph, and to `record` what it does, as JSON values."""
-    return {
-        "record": record,
-        "graph": str(path),
-        "settings": list(settings),
-        "overlays": list(map(str, overlays)),
-        "models": list(map(str, models)),
-        "out": str(out),
-    }
-
-
 def load(header: Mapping[str, Any]) -> tuple[Graph, Catalog]:
-    """The graph that `opening` describes."""
+    """The graph that `tools.running.apart.opening` describes."""
     from tools.load import open_graph
 
     return open_graph(
@@ -57,11 +38,6 @@ def load(header: Mapping[str, Any]) -> tuple[Graph, Catalog]:
     )
 
 
-def recorded(path: Path, process: str) -> Path:
-    """The recording of one process: ``flight.mcap`` becomes ``flight.mapping.mcap``."""
-    return path.with_name(f"{path.stem}.{process}{path.suffix}")
-
-
 def record(
     header: Mapping[str, Any], graph: Graph
 ) -> contextlib.AbstractContextManager[Recorder | None]:
@@ -70,6 +46,7 @@ def record(
     if asked is None:
         return contextlib.nullcontext()
     from tools.recording.record import SOURCES, recording
+    from tools.running.apart import recorded
 
     own = {f"{node.name}/{name}" for node in graph.topology.stages for name in node.outputs}
     path = recorded(Path(asked["path"]), header["process"])

@@ -3,34 +3,28 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 import typer
 from rich.console import Console
 
 from pipeline.drivers.run import run_graph
-from pipeline.graph.graph import Graph
-from pipeline.graph.placing import HERE
 from pipeline.measuring.board import Board
 from pipeline.measuring.expectations import failed, verdicts
 from pipeline.measuring.trace import CAPACITY, Trace
 from pipeline.processes.supervisor import Supervisor
 from pipeline.recording.flight import Flight
 from pipeline.recording.mcap import Compression
-from pipeline.scheduling.partition import MAIN
-from tools.check import verdict_table
-from tools.part_process import MODULE as PART_MODULE
-from tools.part_process import opening
 from tools.recording.flight_graph import GraphFiles, on_flight
-from tools.recording.record import SOURCES, chosen, recording
+from tools.recording.record import recording
+from tools.running.apart import opening, record_asked, recordings, runs_apart
+from tools.running.part_process import MODULE
+from tools.running.telling import Told
 from tools.validate import print_warnings
 from tools.watching.progress import Progress
-from tools.watching.report import print_report
 from tools.watching.trace import write_trace
 
 
@@ -70,18 +64,12 @@ def run_file(
         make_room_for(trace, "trace")
     if record is not None:
         make_room_for(record, "recording")
-    alone = speed is None or flight is not None
-    processes = places(graph, host, alone=alone)
-    apart = not alone and (len(processes) > 1 or host is not None)
+    apart = runs_apart(graph, host, alone=speed is None or flight is not None)
     if apart and trace is not None:
         raise typer.BadParameter(
-            f"--trace draws one process, and this graph runs in {len(processes)} "
-            f"({', '.join(processes)}); use --record, which `overflight explain` reads"
+            "--trace draws one process, and this graph runs in several; use --record, which "
+            "`overflight explain` reads"
         )
-    asked = None
-    if apart and record is not None:
-        ports = map(str, chosen(graph, record_edges or (SOURCES,)))
-        asked = {"path": str(record), "edges": sorted(ports), "compression": record_compression}
     started = time.time()
     recorded = None if trace is None else Trace(trace_entries)
     try:
@@ -101,10 +89,13 @@ def run_file(
             board = _open_board(stack)
             if apart:
                 assert speed is not None
+                asked = None
+                if record is not None:
+                    asked = record_asked(graph, record, record_edges, record_compression)
                 supervisor = Supervisor(
                     graph,
-                    PART_MODULE,
-                    opening(path, settings, overlays, models, out, asked),
+                    MODULE,
+                    opening(given, asked),
                     speed=speed,
                     host=host,
                     board=board,
@@ -127,52 +118,17 @@ def run_file(
             if not quiet:
                 typer.echo(f"Writing {trace} ...", err=True)
             write_trace(recorded, graph.topology, graph.name, trace)
-    for event in result.events:
-        _, newline, lines = event.text.partition("\n")
-        if newline:  # a defect of ours or of the user's own stage: that one keeps its traceback
-            typer.echo(lines, err=True)
-    judged = verdicts(graph.expect, result.report)
-    page = {**result.report, "expectations": [asdict(verdict) for verdict in judged]}
-    text = json.dumps(page, indent=2)
+    told = Told(result, verdicts(graph.expect, result.report), as_json=as_json, quiet=quiet)
+    told.defects()
     if report is not None:
-        report.write_text(text + "\n")
-    if as_json:
-        typer.echo(text)
-    elif not quiet:
-        console = Console()
-        print_report(result.report, console)
-        if judged:
-            console.print("\n", verdict_table(judged), sep="")
-        files = [file for file in (report, trace, record) if file is not None and file.exists()]
-        if apart and record is not None:
-            files += sorted(record.parent.glob(f"{record.stem}.*{record.suffix}"))
-        if written := [*_written(out, started), *files]:
-            names = ", ".join(dict.fromkeys(map(str, written)))
-            console.print(f"Written: {names}", highlight=False, soft_wrap=True)
-        if recorded is not None:
-            told = f"{trace} has {recorded.recorded - recorded.overwritten} entries"
-            if recorded.overwritten:
-                told += f"; {recorded.overwritten} older ones were overwritten (--trace-entries)"
-            console.print(f"{told}. Open it at ui.perfetto.dev.", highlight=False, soft_wrap=True)
-    return (*result.failures, *failed(judged))
-
-
-def places(graph: Graph, host: str | None, *, alone: bool) -> Sequence[str]:
-    """The processes that this command starts. Raises BadParameter where --host does not fit.
-
-    `alone`: offline, and when a flight is replayed, all stages share one process; results do not
-    depend on where they run.
-    """
-    hosts = dict.fromkeys(process.host for process in graph.processes.values())
-    if host is not None and host not in hosts:
-        known = ", ".join(hosts) if HERE not in hosts else "none: its processes name no host"
-        raise typer.BadParameter(f"--host {host}: the graph's hosts are {known}")
-    if host is None and len(hosts) > 1 and not alone:
-        raise typer.BadParameter(
-            f"this graph runs on {len(hosts)} hosts; say which one this is: "
-            + " or ".join(f"--host {name}" for name in hosts)
-        )
-    return (MAIN,) if alone else graph.placement.processes(host)
+        report.write_text(told.text() + "\n")
+    files = [file for file in (report, trace, record) if file is not None and file.exists()]
+    if apart and record is not None:
+        files += recordings(record)
+    told.tables([*_written(out, started), *files])
+    if recorded is not None and trace is not None and not (as_json or quiet):
+        told.trace(trace, recorded)
+    return (*result.failures, *failed(told.judged))
 
 
 def make_room_for(file: Path, what: str = "report") -> None:

@@ -1,0 +1,1 @@
+"""`overflight run`: where a graph runs, and what is told of it."""
