@@ -12,7 +12,7 @@ PYTEST := $(BIN)/python -m pytest
 ON_ALL_CORES := -n logical --maxprocesses 4 --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo demo-emulated demo-truth real-propagation test test-fast check types check-tflite-runtime bench profile clean
+.PHONY: help venv demo demo-emulated demo-truth real-propagation test test-fast check types check-tflite-runtime bench soak profile clean
 
 help:  ## Say what each target does
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 24
@@ -84,6 +84,10 @@ $(TFLITE)/installed: pyproject.toml
 
 bench: venv  ## Measure the figures of BENCHMARK.md on this machine
 	$(BIN)/python -m tools.bench
+
+# The map forgets what is 60 m behind: one that grows with the way flown would hide what else grows.
+soak: venv  ## Kill the processes of a graph at random for 20 minutes; say what grew (MINUTES=5 for less)
+	$(BIN)/python -m tools.soaking --minutes $(or $(MINUTES),20) --set stages.semantic_map.options.max_distance_m=60
 
 profile: venv  ## Measure the paper's Fig 9, Table 1 and Table 2 on emulated devices (8 minutes)
 	$(BIN)/overflight profile $(UAV) --overlay graphs/profile/table1.yaml --sweep executor --html out/profile/table1.html

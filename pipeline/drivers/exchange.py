@@ -112,10 +112,10 @@ class Exchange:
                 heard = partial(self._took, self.senders[link.sender], reader)
                 self._wire.subscribe(self._window(link, reader), heard)
         for link in self._part.incoming:
-            self._wire.subscribe(self._channel(link), partial(self._arrived, link.port))
             if self._part.process in link.waiting:
                 self._wire.advertise(self._window(link, self._part.process))
                 self._tell_taken(link.port)
+            self._wire.subscribe(self._channel(link), partial(self._arrived, link.port))
 
         if self._tells_clock:
             self._beacon = ClockBeacon(self._run, self._part.process, self._wire)
@@ -202,7 +202,7 @@ class Exchange:
             self._newest[port] = envelope.seq
             seal(arrival.payload)
             driver.arrived(port, envelope.message(arrival.payload))
-        elif arrival.lost and port in self._taken:
+        elif port in self._taken and envelope.seq > self._newest.get(port, -1):
             self._note_lost(port, envelope.seq)
         bound = INFINITY if envelope.kind is Kind.END else envelope.bound
         if bound > max(envelope.stamp + 1, NO_BOUND):
@@ -220,8 +220,9 @@ class Exchange:
         self._tell_taken(port)
 
     def _note_lost(self, port: Port, seq: int) -> None:
-        """News tell of lost messages, the last of them `seq`: nobody here can take them, so the
-        sender is told as if they were, once what came before them was."""
+        """News that came after a message `seq`, which has not come: it was lost, or sent before
+        this end listened. Nobody here can take it, so the sender is told as if it were taken, once
+        what came before it was."""
         with self._lock:
             stages, newest = self._taken[port], self._newest.get(port, -1)
             self._lost[port] = max(seq, newest)

@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pipeline.drivers.exchange import Exchange
 from pipeline.drivers.run import run_graph
@@ -21,12 +21,14 @@ from pipeline.graph.graph import Graph
 from pipeline.measuring.profiler import Profiler
 from pipeline.processes.control import Control, Stopped
 from pipeline.processes.joint import Joint
-from pipeline.recording.recorder import Recorder
 from pipeline.scheduling.partition import Part
 from pipeline.scheduling.topology import Port
 from pipeline.transport.mailbox import Closed, Mailbox
 from pipeline.transport.schema import PayloadSchema
 from pipeline.transport.zenoh import Link, LinkOptions
+
+if TYPE_CHECKING:  # a part that records nothing starts without the writer of its files
+    from pipeline.recording.recorder import Recorder
 
 #: How long an ended part keeps its report for the supervisor.
 KEPT_S = 20.0
@@ -36,7 +38,7 @@ Load = Callable[[Mapping[str, Any]], tuple[Graph, Catalog]]
 
 
 #: A recorder for what a part does, where a call asks for one.
-Record = Callable[[Mapping[str, Any], Graph], AbstractContextManager[Recorder | None]]
+Record: TypeAlias = "Callable[[Mapping[str, Any], Graph], AbstractContextManager[Recorder | None]]"
 
 
 def serve_part(mailbox: Mailbox, load: Load, record: Record) -> int:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 import os
 import signal
 import socket
@@ -72,6 +73,9 @@ def main() -> None:
     if os.getppid() != parent:
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # What opening makes stays: looking for garbage in it is a tenth of the CPU until the graph goes
+    # on. From then on the driver says when.
+    gc.disable()
     from pipeline.processes.part import serve_part
     from pipeline.transport.mailbox import Mailbox
 

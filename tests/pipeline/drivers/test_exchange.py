@@ -57,7 +57,7 @@ class Pair:
         self.one.begin(self.origin, ManualClock())
         self.two.begin(self.reader, ManualClock())
 
-    def exchange(self, process: str) -> Exchange:
+    def exchange(self, process: str, begun: Told | None = None) -> Exchange:
         def enter() -> None:
             self.entered += 1
 
@@ -66,8 +66,14 @@ class Pair:
             "run", part, {PORT: PayloadSchema.of([str])}, enter, faults=self._faults
         )
         exchange.open(self._network.join(folder=self._folder))
+        if begun is not None:
+            exchange.begin(begun, ManualClock())
         exchange.connect()
         return exchange
+
+    def forget_reader(self) -> None:
+        """As if it were killed."""
+        del self._network.members[1:]
 
     def repeat_news(self) -> None:
         """As the transport does after a silence."""
@@ -171,3 +177,18 @@ def test_what_was_lost_after_all_was_taken_is_told_at_once(tmp_path: Path) -> No
     clock.advance_to(2_000_000_000)
     pair.repeat_news()
     assert pair.origin.over == [0, 1]
+
+
+def test_what_was_sent_before_a_reader_came_anew_does_not_hold_the_sender_back(
+    blocking: Pair,
+) -> None:
+    blocking.forget_reader()
+    blocking.send(0)
+    blocking.send(1)  # the window is full, and its reader dead
+    assert blocking.origin.over == []
+    again = blocking.exchange("two", reader := Told())
+    assert blocking.origin.over == [0, 1]
+    blocking.send(2)
+    assert [message.payload for message in reader.messages] == ["m2"]
+    again.tell(Took(PORT, "b", 2))
+    assert blocking.origin.over == [0, 1, 2]

@@ -112,6 +112,35 @@ def test_a_flight_feeds_its_own_graph_or_another_at_any_speed(
         assert numbers(flown / out) == numbers(flown / "flown")
 
 
+def test_faults_act_in_flight_once_and_over_a_replayed_flight_where_asked(
+    flown: Path, overflight: Overflight
+) -> None:
+    """A flight's own messages have been through its faults; an overlay may bring others."""
+    (flown / "dies.yaml").write_text("faults: {sources: {lidar: {dies_at_s: 0.15}}}")
+    (flown / "late.yaml").write_text("faults: {sources: {lidar: {repeats_at_s: 0.05}}}")
+    done = overflight(
+        *("run", "pairs.yaml", "--overlay", "dies.yaml", "--speed", "max", "--quiet"),
+        *("--record", "g.mcap", "--record-edges", "sources,pair", "--out", "fault"),
+    )
+    assert done.code == 0, done.err
+    died = numbers(flown / "fault")
+    assert 0 < len(died) < 5
+    again = ("--out", "again", "--json", "--quiet")
+    done = overflight("run", "g.mcap", "--as-recorded", *again)
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["replay"]["decisions_identical"]
+    report = json.loads(overflight("run", "g.mcap", "--speed", "max", *again).out)
+    assert [event for event in report["events"] if event["kind"] == "fault"] == []
+    assert numbers(flown / "again") == died
+    words = ("run", "pairs.yaml", "f.mcap", "--overlay", "dies.yaml", "--speed", "max", "--quiet")
+    assert overflight(*words, "--out", "over").code == 0
+    assert numbers(flown / "over").keys() == died.keys()
+    report = json.loads(
+        overflight("run", "g.mcap", "--overlay", "late.yaml", "--speed", "max", *again).out
+    )
+    assert [event["of"] for event in report["events"] if event["kind"] == "fault"] == ["lidar"]
+
+
 def test_other_code_is_found_out_and_named(flown: Path, overflight: Overflight) -> None:
     done = overflight(
         *("run", "pairs.yaml", "f.mcap", "--as-recorded", "--set", "parameters.rate=15"),
