@@ -147,7 +147,8 @@ def evaluate(
 ) -> None:
     """Judge labels, masks or a map against the truth: IoU by class, and a map's sharpness."""
     if table is not None or figure is not None:
-        from tools.tables.run import TableOrder, run_figure, run_table
+        from tools.tables.order import TableOrder
+        from tools.tables.run import run_figure, run_table
 
         if prediction is not None or (table is not None and figure is not None):
             raise typer.BadParameter("a --table judges no PREDICTION; ask for one thing at a time")

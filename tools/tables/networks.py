@@ -21,8 +21,9 @@ from tools.tables.evidence import fused_evidence, with_fused
 from tools.tables.plan import NetworkPlan, plans
 from tools.tables.scan_judging import ScanNetwork
 from tools.tables.world import World
+from tools.train.open_scans import open_scans
 from tools.train.plan import Order as Training
-from tools.train.scan_sources import LabeledPoints, ScanSource, open_scans
+from tools.train.scan_sources import LabeledPoints, ScanSource
 from tools.train.scan_training import ScanChoices, train_from_points
 
 #: Of the target's sensor: the image of all networks.

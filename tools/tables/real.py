@@ -29,7 +29,7 @@ from tools.tables.rows import Rows, Verdict
 from tools.tables.rules import by_height, height_above_ground, rules
 from tools.tables.scan_judging import ScanNetwork, judge
 from tools.tables.table import Line, Table
-from tools.train.scan_sources import open_scans
+from tools.train.open_scans import open_scans
 
 #: What the shared folder has of it.
 DRIVE, JUDGED, OTHER = "data/kitti_drive_lite108", "data/semantickitti_00", "models/ika-pcl"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,23 +14,12 @@ from rich.console import Console
 from pipeline.errors import ModelError
 from stages.sinks.whole_file import whole_file
 from tools.tables.names import PaperFigure, PaperTable
+from tools.tables.order import TableOrder
 from tools.tables.table import Table
 
 INTERRUPTED = 130
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class TableOrder:
-    """What a person asked for."""
-
-    output: Path
-    seeds: int
-    steps: int | None
-    quick: bool
-    shared: Path
-    threads: int
 
 
 def run_table(table: PaperTable, order: TableOrder, *, as_json: bool) -> None:

@@ -31,7 +31,7 @@ from tools.tables.world import JudgedScan, World
 
 if TYPE_CHECKING:
     from tools.tables.names import PaperTable
-    from tools.tables.run import TableOrder
+    from tools.tables.order import TableOrder
 
 VOXEL_M = 0.25
 FLIGHTS = {"flight_a": "flight A, whose labels were propagated", "flight_b": "city B, held out"}

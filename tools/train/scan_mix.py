@@ -21,7 +21,8 @@ import yaml
 from pipeline.errors import DataError
 from stages.scan_statistics import ScanStatistics
 from stages.types import CHANNELS
-from tools.train.scan_sources import LabeledPoints, ScanSource, open_scans
+from tools.train.open_scans import open_scans
+from tools.train.scan_sources import LabeledPoints, ScanSource
 
 KEYS = ("path", "share", "layout", "sensor", "labels")
 #: So many scans of a source tell how frequent its classes are.

@@ -1,4 +1,4 @@
-"""Labeled scans from folders in public layouts: what a source is, and which one a path is.
+"""Labeled scans for training: what a source of them is.
 
 One file per layout in `tools/train/readers/`; a mixture of several is a YAML file (`scan_mix`).
 """
@@ -12,8 +12,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from pipeline.errors import DataError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,20 +67,3 @@ class HeldScans:
     def read(self, number: int) -> LabeledPoints:
         """One of them."""
         return self.scans[number]
-
-
-def open_scans(path: Path, layout: str | None = None) -> ScanSource:
-    """The scans at a path, whichever layout it has, or the named one. Raises DataError."""
-    from tools.train.readers import LAYOUTS
-
-    if not path.exists():
-        raise DataError(f"{path}: no such file or folder")
-    if layout is not None:
-        if layout not in LAYOUTS:
-            raise DataError(f"{path}: no layout '{layout}' (known: {', '.join(LAYOUTS)})")
-        return LAYOUTS[layout].open(path)
-    for one in LAYOUTS.values():
-        if one.fits(path):
-            return one.open(path)
-    looked = "; ".join(f"{name}: {one.looks_like}" for name, one in LAYOUTS.items())
-    raise DataError(f"{path}: no labeled scans found; looked for {looked}")

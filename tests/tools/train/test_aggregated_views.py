@@ -9,8 +9,8 @@ import pytest
 
 from pipeline.errors import DataError
 from tools.train.aggregated import SimulatedViews, scan_from
+from tools.train.open_scans import open_scans
 from tools.train.readers.paris_carla import open_views, read_cloud
-from tools.train.scan_sources import open_scans
 
 ROAD, VEHICLE = 3, 13
 FIELDS = (

@@ -9,7 +9,7 @@ import pytest
 from scan_folders import sequence
 
 from pipeline.errors import DataError
-from tools.train.scan_sources import open_scans
+from tools.train.open_scans import open_scans
 
 ROAD, VEHICLE, SIDEWALK = 3, 13, 4
 
