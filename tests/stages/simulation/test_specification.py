@@ -92,7 +92,7 @@ def test_a_mistake_in_a_preset_names_the_key(tmp_path: Path, text: str, told: st
 
 
 def test_an_unknown_preset_is_answered_with_those_there_are() -> None:
-    with pytest.raises(DataError, match="no preset 'demmo'; take one of demo, paper"):
+    with pytest.raises(DataError, match="no preset 'demmo'; take one of demo, judge, paper"):
         load_preset("demmo")
 
 
