@@ -74,10 +74,7 @@ def build_report(
         },
         "refused": scheduler.books.refusals(),
         "failures": list(statistics.failures),
-        "events": [
-            {"at_s": event.at_ns / 1e9, "kind": event.kind, "of": event.subject, "text": event.text}
-            for event in statistics.events
-        ],
+        "events": [event.page() for event in statistics.events],
     }
 
 

@@ -78,6 +78,10 @@ class Event:
     subject: str
     text: str
 
+    def page(self) -> dict[str, Any]:
+        """As plain values, for reports and status pages."""
+        return {"at_s": self.at_ns / 1e9, "kind": self.kind, "of": self.subject, "text": self.text}
+
 
 _stamp = attrgetter("stamp")
 

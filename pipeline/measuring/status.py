@@ -141,10 +141,7 @@ class Status:
                 for name, device in self._scheduler.devices().items()
             },
             "failures": list(self._statistics.failures),
-            "events": [
-                {"at_s": e.at_ns / 1e9, "kind": e.kind, "of": e.subject, "text": e.text}
-                for e in self._statistics.events[-EVENTS_SHOWN:]
-            ],
+            "events": [event.page() for event in self._statistics.events[-EVENTS_SHOWN:]],
         }
 
     def _counters(self, ledger: Mapping[str, Mapping[str, Any]]) -> Counters:

@@ -51,10 +51,6 @@ def merged_report(
         for stage in graph.stages
         if owner[stage.name] in here
     }
-    told = [event for report in reports.values() for event in report["events"]]
-    told += [
-        {"at_s": e.at_ns / 1e9, "kind": e.kind, "of": e.subject, "text": e.text} for e in events
-    ]
     return {
         "graph": graph.name,
         "wall_s": round(wall_ns / 1e9, 3),
@@ -80,7 +76,7 @@ def merged_report(
         },
         "failures": [text for report in reports.values() for text in report["failures"]]
         + [f"processes.{e.subject}: {e.text}" for e in events if e.kind in _FAILURES],
-        "events": sorted(told, key=lambda event: event["at_s"]),
+        "events": _told(reports.values(), events),
         "ended": ended,
     }
 
@@ -101,10 +97,6 @@ def merged_page(
         its = page.get("stages", {}).items()
         stages |= {key: value for key, value in its if owner.get(key) == name}
         devices |= page.get("devices", {})
-    told = [event for page in pages.values() for event in page.get("events", [])]
-    told += [
-        {"at_s": e.at_ns / 1e9, "kind": e.kind, "of": e.subject, "text": e.text} for e in events
-    ]
     first: dict[str, Any] = next(iter(pages.values()), {})
     return {
         "format": FORMAT,
@@ -125,8 +117,14 @@ def merged_page(
         "edges": merged_ledger(graph.topology, graph.placement, processes),
         "processes": {p.name: {"pid": p.pid, "restarts": max(p.lives - 1, 0)} for p in processes},
         "failures": [text for page in pages.values() for text in page.get("failures", [])],
-        "events": sorted(told, key=lambda event: event["at_s"])[-EVENTS_SHOWN:],
+        "events": _told(pages.values(), events)[-EVENTS_SHOWN:],
     }
+
+
+def _told(pages: Iterable[Mapping[str, Any]], events: Sequence[Event]) -> list[dict[str, Any]]:
+    """What the parts and their supervisor told, in the order of time."""
+    told = [event for page in pages for event in page.get("events", [])]
+    return sorted([*told, *(event.page() for event in events)], key=lambda event: event["at_s"])
 
 
 def snapshot_of(page: Mapping[str, Any], events: Sequence[Event]) -> Snapshot:
