@@ -6,9 +6,6 @@ Run as ``python -m pipeline.drivers.isolated_child DESCRIPTOR PARENT NAME``.
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import os
-import signal
 import socket
 import sys
 from collections.abc import Mapping
@@ -19,9 +16,8 @@ from pipeline.drivers.threads import name_this_thread
 from pipeline.errors import OverflightError
 from pipeline.graph.blocks import make_device
 from pipeline.model import Accelerator, Model, TensorSpec
+from pipeline.transport.child_end import end_with
 from pipeline.transport.mailbox import Arrays, Closed, Mailbox
-
-PR_SET_PDEATHSIG = 1
 
 
 class Server:
@@ -69,10 +65,7 @@ def serve(mailbox: Mailbox, name: str) -> None:
 def main() -> None:
     """Serve on the descriptor in the arguments until the parent is gone."""
     descriptor, parent, name = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    with contextlib.suppress(OSError, AttributeError):  # not Linux: the closed socket must do
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
+    if not end_with(parent):
         return
     name_this_thread(f"dev-{name}")
     with contextlib.suppress(Closed):

@@ -6,15 +6,15 @@ Run as ``python -m tools.running.part_process DESCRIPTOR PARENT NAME``.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import gc
 import os
-import signal
 import socket
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from pipeline.transport.child_end import end_with
 
 if TYPE_CHECKING:
     from pipeline.graph.catalog import Catalog
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 #: What the supervisor runs with ``python -m``.
 MODULE = "tools.running.part_process"
-PR_SET_PDEATHSIG = 1
 
 
 def load(header: Mapping[str, Any]) -> tuple[Graph, Catalog]:
@@ -67,10 +66,7 @@ def main() -> None:
     """Be the part on the descriptor in the arguments, until it ends or the parent is gone."""
     descriptor, parent = int(sys.argv[1]), int(sys.argv[2])
     os.setpgid(0, 0)  # Ctrl-C is the supervisor's to hand on
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with contextlib.suppress(OSError, AttributeError):  # not Linux: the closed socket must do
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
+    if not end_with(parent):
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # What opening makes stays: looking for garbage in it is a tenth of the CPU until the graph goes
