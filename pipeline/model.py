@@ -2,7 +2,7 @@
 
 A stage prepares and finishes in canonical form (NHWC; see `ModelSpec`), so that the device of a run
 can change without the stage knowing. `BoundModel.encode` and `decode` hold what differs between the
-files of one model (normalisation, quantisation, layout) and run on a CPU worker; only `infer` holds
+files of one model (normalization, quantization, layout) and run on a CPU worker; only `infer` holds
 the device.
 """
 

@@ -116,7 +116,7 @@ class FuseCloud(Stage):
             poses = tuple(Message.at(stamp, Pose(np.eye(4))) for stamp in (0, 1))
             for kind in (np.float32, np.int8, np.uint8):
                 grid = np.zeros((1, 2, 2, CHANNELS), dtype=kind)
-                image = ClassScores(grid, box, 1.0, 0, False, camera, (1, 1))
+                image = ClassScores(grid, box, 1.0, 0, camera, (1, 1))
                 self.process(scan, (Message.at(0, image),), (Message.at(0, found),), poses)
             row, near = np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.float32)
             for shape in (None, (1, 1)):
@@ -254,7 +254,6 @@ class FuseCloud(Stage):
             as_input(image.rects),
             image.scale,
             float(image.zero_point),
-            image.align_corners,
             view.pixel,
             self._classes,
         )

@@ -123,7 +123,7 @@ class FuseImage(Stage):
         one = np.ones(1, np.int64), np.ones(1, np.float32)
         for kind in (np.float32, np.int8, np.uint8):
             grid = np.zeros((1, 2, 2, CHANNELS), dtype=kind)
-            scores = ClassScores(grid, 2 * box, 1.0, 0, False, "a", (2, 2))
+            scores = ClassScores(grid, 2 * box, 1.0, 0, "a", (2, 2))
             shadow = FuseImage(calibration=_ANYWHERE)
             for stamp in (0, 1):  # the second has a past
                 shadow.process(
@@ -258,7 +258,6 @@ class FuseImage(Stage):
             as_input(image.rects),
             image.scale,
             float(image.zero_point),
-            image.align_corners,
             self._share,
             past.probabilities if past else fused,
             source,

@@ -36,7 +36,6 @@ class TrueScores(Stage):
             rects=np.array([[0, 0, width, height]], dtype=np.float32),
             scale=self._log_odds,
             zero_point=0,
-            align_corners=False,
             camera=labels.payload.sensor,
             size=(width, height),
         )

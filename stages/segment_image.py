@@ -108,7 +108,6 @@ class SegmentImage(ModelStage):
             rects=np.array(rects, dtype=np.float32),
             scale=scores.scale,
             zero_point=scores.zero_point,
-            align_corners=False,  # the rectangles hold it
             camera=image.payload.camera,
             size=(data.shape[1], data.shape[0]),
         )

@@ -50,7 +50,7 @@ class Scan:
     times_ns: NDArray[np.int32] | None  #: (n,) ns after the message's stamp (negative before it)
     shape: (
         tuple[int, int] | None
-    )  #: (rows, columns) of an organised scan, points row by row; else None
+    )  #: (rows, columns) of an organized scan, points row by row; else None
     sensor: str  #: name in the calibration
 
 
@@ -59,9 +59,8 @@ class ClassScores:
     """Logits (or log-probabilities: both are "log scores") of one image, at any stride, in one or
     more tiles.
 
-    Tile i covers the rectangle `rects[i]`, which may reach beyond the image. With `align_corners`
-    the outer grid cells lie on the centres of the rectangle's corner pixels; without, the rectangle
-    is divided evenly into cells.
+    Tile i covers the rectangle `rects[i]`, which its cells divide evenly and which may reach beyond
+    the image (`score_grid.ScoreGrid.rect`).
     """
 
     grid: (
@@ -70,7 +69,6 @@ class ClassScores:
     rects: NDArray[np.float32]  #: (tiles, 4) x0 y0 x1 y1: pixel edges in the full-resolution image
     scale: float  #: log score = (grid - zero_point) * scale
     zero_point: int
-    align_corners: bool
     camera: str
     size: tuple[int, int]  #: (width, height) of the full-resolution image
 
@@ -113,7 +111,7 @@ class Cloud:
 
     points: NDArray[np.float32]  #: (n, 3) m
     log_scores: NDArray[np.float32]  #: (n, CHANNELS) log scores up to a constant per point
-    evidence: NDArray[np.bool_]  #: (n,) False: no source said anything of this point (unlabelled)
+    evidence: NDArray[np.bool_]  #: (n,) False: no source said anything of this point (unlabeled)
     map_from_sensor: (
         NDArray[np.float64] | None
     )  #: (4, 4) at the message's stamp, where poses are known

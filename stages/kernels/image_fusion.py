@@ -48,7 +48,6 @@ def fuse_rows(
     rects: NDArray[np.float32],
     scale: float,
     zero_point: float,
-    align_corners: bool,
     share: NDArray[np.float32],
     past: NDArray[np.float32],
     source: NDArray[np.int32],
@@ -59,8 +58,8 @@ def fuse_rows(
     """Fuse the log scores of an image with what was fused of the image before (eq 6).
 
     `grid` (tiles, rows, columns, channels) float32, int8 or uint8 in any strides, `rects` (tiles,
-    4), `scale`, `zero_point` and `align_corners` are those of `sampling.sample_scores`, and so is
-    the bilinear interpolation. p = soft-max of the log scores; with `share` (classes,) the weight
+    4), `scale` and `zero_point` are those of `sampling.sample_scores`, and so is the bilinear
+    interpolation. p = soft-max of the log scores; with `share` (classes,) the weight
     alpha of the present and F = `past` (height, classes, width) at the pixel `source` (height,
     width) int32, row * width + column or -1 for none:
 
@@ -84,8 +83,8 @@ def fuse_rows(
         tiles = 0
     for t in range(tiles):
         x0, y0, x1, y1 = rects[t, 0], rects[t, 1], rects[t, 2], rects[t, 3]
-        _along_axis(x0, x1, columns, align_corners, first_c[t], part_c[t], tent_c[t])
-        _along_axis(y0, y1, rows, align_corners, first_r[t], part_r[t], tent_r[t])
+        _along_axis(x0, x1, columns, first_c[t], part_c[t], tent_c[t])
+        _along_axis(y0, y1, rows, first_r[t], part_r[t], tent_r[t])
         for x in range(width):
             as_pixels[t] &= np.float32(first_c[t, x] + part_c[t, x]) == x
 
@@ -154,7 +153,6 @@ def _along_axis(
     low: float,
     high: float,
     cells: int,
-    align_corners: bool,
     first: NDArray[np.uint32],
     part: NDArray[np.float32],
     tent: NDArray[np.float32],
@@ -166,10 +164,7 @@ def _along_axis(
         tent[i] = -1.0
         if not (at >= low and at <= high and high > low and np.isfinite(high - low)):
             continue
-        if align_corners:
-            cell = (at - low - 0.5) / max(high - low - 1.0, 1.0) * (cells - 1)
-        else:
-            cell = (at - low) / (high - low) * cells - 0.5
+        cell = (at - low) / (high - low) * cells - 0.5
         cell = min(max(cell, 0.0), cells - 1.0)
         first[i] = min(int(cell), max(cells - 2, 0))
         part[i] = cell - first[i]

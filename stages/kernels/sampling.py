@@ -20,7 +20,6 @@ def sample_scores(
     rects: NDArray[np.float32],
     scale: float,
     zero_point: float,
-    align_corners: bool,
     pixel: NDArray[np.float32],
     classes: int,
 ) -> Any:
@@ -28,10 +27,9 @@ def sample_scores(
 
     `grid` (tiles, rows, columns, channels) float32, int8 or uint8, in any strides; value = (grid -
     zero_point) * scale. `rects` (tiles, 4) x0 y0 x1 y1 are the pixel edges that each tile covers:
-    pixel u lies at u + 0.5. With `align_corners` the outer grid cells lie on the centers of the
-    rectangle's corner pixels, else the rectangle is divided evenly into cells; beyond the outer
-    centers the outer cells hold. Where tiles overlap they are averaged with tent weights, greatest
-    in a tile's center and 0 on its edge.
+    pixel u lies at u + 0.5, and the cells divide the rectangle evenly; beyond the centers of the
+    outer cells these hold. Where tiles overlap they are averaged with tent weights, greatest in a
+    tile's center and 0 on its edge.
 
     Returns (m, 16) float32 with 0 in the channels from `classes` on, and (m,) bool: some tile
     covers the pixel (else the row is 0).
@@ -43,8 +41,8 @@ def sample_scores(
     across, down = np.empty((tiles, 2)), np.empty((tiles, 2))
     for tile in range(tiles):
         x0, y0, x1, y1 = rects[tile, 0], rects[tile, 1], rects[tile, 2], rects[tile, 3]
-        across[tile, 0], across[tile, 1] = _cells_per_pixel(x0, x1, columns, align_corners)
-        down[tile, 0], down[tile, 1] = _cells_per_pixel(y0, y1, rows, align_corners)
+        across[tile, 0], across[tile, 1] = _cells_per_pixel(x0, x1, columns)
+        down[tile, 0], down[tile, 1] = _cells_per_pixel(y0, y1, rows)
     one, shift = np.float32(1.0), np.float32(zero_point * scale)
     right, below = np.uint64(columns > 1), np.uint64(rows > 1)
     for i in range(len(pixel)):
@@ -94,9 +92,8 @@ def sample_scores(
 
 
 @compiled
-def _cells_per_pixel(low: float, high: float, cells: int, align_corners: bool) -> Any:
+def _cells_per_pixel(low: float, high: float, cells: int) -> Any:
     """a, b of the cell a x + b at pixel edge x, along an axis of a tile from `low` to `high`."""
-    size = np.float64(high) - low
-    a = (cells - 1) / max(size - 1.0, 1.0) if align_corners else cells / size
-    b = (-0.5 * a if align_corners else -0.5) - low * a
+    a = cells / (np.float64(high) - low)
+    b = -0.5 - low * a
     return (a, b) if np.isfinite(a + b) else (0.0, 0.0)  # of an endless tile its first cell

@@ -82,7 +82,6 @@ class PngOverlay(Stage):
             as_input(scores.rects),
             scores.scale,
             float(scores.zero_point),
-            scores.align_corners,
             np.stack([u.ravel(), v.ravel()], axis=1),
             len(self._taxonomy),
         )

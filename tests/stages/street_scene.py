@@ -240,7 +240,7 @@ def segmentation(
     grid = np.full((1, *soft.shape[:2], 16), PADDING_LOG, np.float32)
     grid[0, ..., :C] = np.log(0.85 * soft + 0.01) + rng.normal(0, noise, soft.shape)
     rects = np.array([[0, 0, width, height]], np.float32)
-    return ClassScores(grid, rects, 1.0, 0, False, "rgb", (width, height))
+    return ClassScores(grid, rects, 1.0, 0, "rgb", (width, height))
 
 
 def detector(

@@ -81,8 +81,7 @@ def odd_scores(rng: np.random.Generator, stamp: int) -> Message[ClassScores]:
         grid = rng.integers(0, 100, (1, rows, columns, CHANNELS)).astype(kind)
     rects = np.array([[0, 0, 64, 48]], np.float32)
     scale = float(rng.choice([1.0, 0.1, 0.0]))
-    align = bool(rng.integers(2))
-    return Message.at(stamp, ClassScores(grid, rects, scale, 3, align, "rgb", (64, 48)))
+    return Message.at(stamp, ClassScores(grid, rects, scale, 3, "rgb", (64, 48)))
 
 
 def odd_boxes(rng: np.random.Generator, stamp: int) -> Message[Detections]:

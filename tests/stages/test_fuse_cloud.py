@@ -52,7 +52,7 @@ def halves(left: int, right: int, stamp: int = SECOND) -> Message[ClassScores]:
     grid = np.zeros((1, 80, 100, 16), np.float32)
     grid[0, :, :50, left] = grid[0, :, 50:, right] = 4.0
     rects = np.array([[0, 0, 100, 80]], np.float32)
-    return Message.at(stamp, ClassScores(grid, rects, 1.0, 0, False, "rgb", (100, 80)))
+    return Message.at(stamp, ClassScores(grid, rects, 1.0, 0, "rgb", (100, 80)))
 
 
 def boxes(*found: tuple[list[float], int, float]) -> Message[Detections]:
@@ -196,9 +196,7 @@ def test_the_camera_sees_the_scan_from_where_it_was_at_its_own_stamp() -> None:
     grid = np.zeros((1, 80, 100, 16), np.float32)
     grid[0, :, :35, PERSON] = grid[0, :, 35:, ROAD] = 4.0
     rects = np.array([[0, 0, 100, 80]], np.float32)
-    late = Message.at(
-        SECOND + SECOND // 2, ClassScores(grid, rects, 1.0, 0, False, "rgb", (100, 80))
-    )
+    late = Message.at(SECOND + SECOND // 2, ClassScores(grid, rects, 1.0, 0, "rgb", (100, 80)))
     stage = FuseCloud(calibration=CALIBRATION)
     moving = stage.process(scan(point), (late,), (), forward_at(10.0))
     assert posterior(moving).argmax() == PERSON
@@ -319,7 +317,7 @@ def test_the_object_in_a_box_is_a_cluster_a_slice_of_depth_or_all(
 def test_payloads_of_a_wrong_shape_or_class_are_refused_before_the_kernels() -> None:
     stage = FuseCloud(calibration=CALIBRATION)
     rects = np.array([[0, 0, 100, 80]], np.float32)
-    thin = ClassScores(np.zeros((1, 4, 4, 12), np.float32), rects, 1.0, 0, False, "rgb", (100, 80))
+    thin = ClassScores(np.zeros((1, 4, 4, 12), np.float32), rects, 1.0, 0, "rgb", (100, 80))
     with pytest.raises(StageError, match=r"scores of 'rgb': grid of shape \(1, 4, 4, 12\)"):
         stage.process(scan(), (Message.at(SECOND, thin),))
     with pytest.raises(StageError, match="class 15 is none of the taxonomy's"):

@@ -45,7 +45,7 @@ def scores(
     np.put_along_axis(p[0], np.asarray(labels)[..., None], np.float32(certainty), axis=-1)
     rects = np.array([[0, 0, width, height]], np.float32)
     size = (width, height)
-    return Message.at(stamp, ClassScores(np.log(p), rects, 1.0, 0, False, camera, size))
+    return Message.at(stamp, ClassScores(np.log(p), rects, 1.0, 0, camera, size))
 
 
 def depth(meters: np.ndarray | float, stamp: int = 0) -> Message[DepthImage]:
@@ -267,7 +267,6 @@ def test_wiring_mistakes_are_said() -> None:
         np.zeros((1, 4), np.float32),
         1,
         0,
-        False,
         "rgb",
         (2, 2),
     )
@@ -321,7 +320,7 @@ def odd_inputs(rng: np.random.Generator, width: int, height: int, stamp: int) ->
         Message.at(stamp + early + after, Pose(matrix))
         for after, matrix in ((0, np.eye(4)), (TENTH, pose))
     )
-    image = ClassScores(grid, rects, 1.0, 0, bool(rng.integers(0, 2)), "rgb", (width, height))
+    image = ClassScores(grid, rects, 1.0, 0, "rgb", (width, height))
     return {
         "scores": Message.at(stamp, image),
         "boxes": found("rgb"),

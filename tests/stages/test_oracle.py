@@ -33,9 +33,7 @@ def test_scores_at_the_center_of_a_pixel_give_its_class_the_claimed_probability(
     scores = TrueScores(confidence=0.9).process(labeled(classes))
     v, u = np.mgrid[:6, :9].astype(np.float32)
     pixel = np.stack([u.ravel(), v.ravel()], axis=1)
-    rows, said = sample_scores(
-        scores.grid, scores.rects, scores.scale, 0.0, scores.align_corners, pixel, CLASSES
-    )
+    rows, said = sample_scores(scores.grid, scores.rects, scores.scale, 0.0, pixel, CLASSES)
     assert said.all()
     assert (scores.size, scores.camera) == ((9, 6), "rgb")
     claimed = softmax(rows, CLASSES)[np.arange(54), classes.ravel()]

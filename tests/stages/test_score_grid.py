@@ -36,7 +36,7 @@ def sampled_cells(
     places = np.zeros((1, rows, columns, 16), np.float32)
     places[0, :, :, 0], places[0, :, :, 1] = np.meshgrid(np.arange(columns), np.arange(rows))
     rect = np.array([grid.rect((0, 0, *size), cells)], np.float32)
-    values, covered = sample_scores(places, rect, 1.0, 0.0, False, pixel.astype(np.float32), 2)
+    values, covered = sample_scores(places, rect, 1.0, 0.0, pixel.astype(np.float32), 2)
     assert covered.all()
     return values[:, :2]
 

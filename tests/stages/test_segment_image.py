@@ -41,7 +41,6 @@ def labels_of(scores: ClassScores) -> Any:
         scores.rects,
         scores.scale,
         float(scores.zero_point),
-        scores.align_corners,
         np.stack([u.ravel(), v.ravel()], axis=1),
         len(TAXONOMY),
     )
@@ -54,7 +53,7 @@ def test_scores_in_our_channels_stay_quantized_and_uncopied() -> None:
     image = photo(20, 10)
     found = stage.finish({"scores": Tensor(grid, 0.1, 3)}, image)
     assert found.grid is grid
-    assert (found.scale, found.zero_point, found.align_corners) == (0.05, 3, False)
+    assert (found.scale, found.zero_point) == (0.05, 3)
     assert (found.camera, found.size) == ("front", (20, 10))
 
 
@@ -67,7 +66,7 @@ def test_scores_of_a_network_one_pixel_larger_than_the_image_lie_on_every_eighth
     grid[0, :, :, 0], grid[0, :, :, 1] = np.meshgrid(np.arange(4), np.arange(3))
     found = stage.finish({"scores": Tensor(grid)}, image)
     pixel = np.array([[0, 0], [8, 8], [16, 0], [12, 4]], np.float32)
-    rows, covered = sample_scores(found.grid, found.rects, 1.0, 0.0, False, pixel, 2)
+    rows, covered = sample_scores(found.grid, found.rects, 1.0, 0.0, pixel, 2)
     assert covered.all()
     np.testing.assert_allclose(rows[:, :2], [[0, 0], [1, 1], [2, 0], [1.5, 0.5]], atol=1e-6)
 

@@ -22,6 +22,7 @@ from stages.kernels.image_fusion import colorize
 from stages.kernels.probability import accumulate, bound_rows
 from stages.kernels.sampling import sample_scores
 from stages.scan_image import RangeImage
+from stages.score_grid import ScoreGrid
 from stages.segment_scan import SegmentScan
 from stages.semantic_map import SemanticMap
 from stages.taxonomy import load_taxonomy
@@ -69,11 +70,12 @@ def image_scores(labels: NDArray[np.uint8], stride: int, seed: int = 1) -> Class
     full resolution as float32, else quantized."""
     v, u = (np.linspace(0, n - 1, -(-(n - 1) // stride) + 1).round() for n in labels.shape)
     scores = log_scores(labels[np.ix_(v.astype(int), u.astype(int))], seed)[None]
-    rect = np.array([[0, 0, WIDTH, HEIGHT]], dtype=np.float32)
+    corners = ScoreGrid((WIDTH, HEIGHT), align_corners=True)
+    rect = np.array([corners.rect((0, 0, WIDTH, HEIGHT), scores.shape[1:3])], dtype=np.float32)
     if stride == 1:
-        return ClassScores(scores, rect, 1.0, 0, True, "rgb", (WIDTH, HEIGHT))
+        return ClassScores(scores, rect, 1.0, 0, "rgb", (WIDTH, HEIGHT))
     grid = np.clip(np.rint(scores / 0.1), -128, 127).astype(np.int8)
-    return ClassScores(grid, rect, 0.1, 0, True, "rgb", (WIDTH, HEIGHT))
+    return ClassScores(grid, rect, 0.1, 0, "rgb", (WIDTH, HEIGHT))
 
 
 def points_cases(scene: Sequence[Frame]) -> Iterator[Case]:
@@ -107,9 +109,7 @@ def fuse_points(
 ) -> View:
     """Eq 1-3 as `FuseCloud` computes them for an image."""
     view = look(CALIBRATION.camera("rgb"), points, usable, camera_from_lidar)
-    rows, said = sample_scores(
-        scores.grid, scores.rects, 1.0, 0.0, scores.align_corners, view.pixel, CLASSES
-    )
+    rows, said = sample_scores(scores.grid, scores.rects, 1.0, 0.0, view.pixel, CLASSES)
     said &= bound_rows(rows, CLASSES)
     accumulate(total, evidence, view.index, rows, said, CLASSES)
     return view

@@ -97,7 +97,6 @@ class ScoreComparison(LabelComparison):
             as_input(payload.rects),
             payload.scale,
             float(payload.zero_point),
-            payload.align_corners,
             np.stack([u.ravel(), v.ravel()], axis=1),
             classes,
         )

@@ -1,4 +1,4 @@
-"""Draws a graph as SVG: stages in columns by depth, coloured by the device they prefer."""
+"""Draws a graph as SVG: stages in columns by depth, colored by the device they prefer."""
 
 from __future__ import annotations
 

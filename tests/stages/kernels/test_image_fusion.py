@@ -25,7 +25,6 @@ def fuse(
     source: np.ndarray = NO_PAST,
     scale: float = 1.0,
     zero_point: float = 0.0,
-    align_corners: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int]:
     """fuse_rows with its outputs: (classes, height, width), mask, confidence, both counts."""
     width, height = size
@@ -38,7 +37,6 @@ def fuse(
         rects,
         scale,
         zero_point,
-        align_corners,
         SHARE,
         before,
         source,
@@ -66,13 +64,12 @@ def oracle(
     source: np.ndarray,
     scale: float,
     zero_point: float,
-    align_corners: bool,
 ) -> np.ndarray:
     """Soft-max of the interpolated scores and eq 6, written out in float64."""
     width, height = size
     v, u = np.mgrid[:height, :width].astype(np.float32)
     pixel = np.stack([u.ravel(), v.ravel()], axis=1)
-    logits, _ = sample_scores(grid, rects, scale, zero_point, align_corners, pixel, C)
+    logits, _ = sample_scores(grid, rects, scale, zero_point, pixel, C)
     logits = logits[:, :C].astype(np.float64)
     p = np.exp(np.maximum(logits - logits.max(axis=1, keepdims=True), np.log(1e-6)))
     p = (p / p.sum(axis=1, keepdims=True)).T
@@ -92,9 +89,8 @@ def random_past(rng: np.random.Generator, size: tuple[int, int]) -> tuple[np.nda
 
 
 @pytest.mark.parametrize("kind", ["float", "int8", "uint8"])
-@pytest.mark.parametrize("align_corners", [False, True])
 @pytest.mark.parametrize("tiles", [1, 3])
-def test_the_blend_is_eq_6_to_four_millionths(kind: str, align_corners: bool, tiles: int) -> None:
+def test_the_blend_is_eq_6_to_four_millionths(kind: str, tiles: int) -> None:
     rng = np.random.default_rng(tiles)
     size = (53, 31)
     scale, zero_point = 1.0, 0.0
@@ -107,7 +103,7 @@ def test_the_blend_is_eq_6_to_four_millionths(kind: str, align_corners: bool, ti
     if tiles == 3:
         rects = np.array([[0, 0, 31, 31], [11, 0, 42, 31], [22, 0, 53, 31]], np.float32)
     past, source = random_past(rng, size)
-    given_ = (grid, rects, size, past, source, scale, zero_point, align_corners)
+    given_ = (grid, rects, size, past, source, scale, zero_point)
     fused, mask, confidence, spoiled, uncovered = fuse(*given_)
     expected = oracle(*given_)
     np.testing.assert_allclose(fused, expected, atol=4e-6)
@@ -124,7 +120,7 @@ def test_rows_wider_than_a_block_and_cells_that_are_pixels(cells: tuple[int, int
     grid = rng.normal(0, 4, (1, cells[1], cells[0], 16)).astype(np.float32)
     past, source = random_past(rng, size)
     source[:, BLOCK : 2 * BLOCK] = -1  # a block without a past
-    given_ = (grid, whole(size), size, past, source, 1.0, 0.0, True)
+    given_ = (grid, whole(size), size, past, source, 1.0, 0.0)
     fused, mask, *_ = fuse(*given_)
     np.testing.assert_allclose(fused, oracle(*given_), atol=4e-6)
     np.testing.assert_array_equal(mask, fused.argmax(axis=0))
@@ -135,7 +131,7 @@ def test_a_tile_as_wide_as_the_image_may_lie_beside_it() -> None:
     size = (40, 6)
     grid = rng.normal(0, 3, (1, 6, 40, 16)).astype(np.float32)
     rects = np.array([[7, 0, 47, 6]], np.float32)
-    given_ = (grid, rects, size, None, NO_PAST, 1.0, 0.0, False)
+    given_ = (grid, rects, size, None, NO_PAST, 1.0, 0.0)
     np.testing.assert_allclose(fuse(*given_)[0], oracle(*given_), atol=4e-6)
 
 

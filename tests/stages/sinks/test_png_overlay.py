@@ -41,7 +41,7 @@ def test_classes_are_laid_over_the_image(tmp_path: Path) -> None:
     grid = np.zeros((1, 4, 4, 16), np.float32)
     grid[0, :2, :, 7] = grid[0, 2:, :, 3] = 4.0
     rects = np.array([[0, 0, 100, 80]], np.float32)
-    scores = Message.at(0, ClassScores(grid, rects, 1.0, 0, False, "rgb", (100, 80)))
+    scores = Message.at(0, ClassScores(grid, rects, 1.0, 0, "rgb", (100, 80)))
     PngOverlay(folder=tmp_path, share=1.0).run_once(image(), scores)
     picture = drawn(tmp_path)
     assert (picture[5:35] == COLORS[7]).all()

@@ -24,7 +24,7 @@ def scores(labels: Any, logit: float = 4.0, width: int = 64) -> ClassScores:
     """A grid (rows, columns) of labels over an image of 64 x 32, tile by tile `width` wide."""
     grid = rows(np.asarray(labels)[None], logit)
     rects = np.array([[0, 0, width, 32]], np.float32)
-    return ClassScores(grid, rects, 1.0, 0, False, "camera", (64, 32))
+    return ClassScores(grid, rects, 1.0, 0, "camera", (64, 32))
 
 
 def cloud(labels: Any, evidence: Any) -> Cloud:
