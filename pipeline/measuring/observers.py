@@ -21,7 +21,9 @@ class _Several(Observer):
     def __init__(self, observers: tuple[Observer, ...]) -> None:
         for call in _CALLS:
             base = getattr(Observer, call)
-            told = [getattr(each, call) for each in observers if getattr(type(each), call) != base]
+            each_told = [getattr(each, call) for each in observers]
+            # One of several observers has its calls of its own, not of its class.
+            told = [one for one in each_told if getattr(one, "__func__", None) is not base]
             if told:
                 setattr(self, call, told[0] if len(told) == 1 else _all_of(told))
 

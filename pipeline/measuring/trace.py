@@ -7,10 +7,12 @@ speed shows how long things really took; stamps stay on the graph's clock.
 
 from __future__ import annotations
 
+import json
 import threading
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import count
+from pathlib import Path
 from time import monotonic_ns
 from typing import Any
 
@@ -54,6 +56,22 @@ class Trace(Observer):
     def entries(self) -> list[Entry]:
         """What is kept, in the order in which it was entered. Ask when the run is over."""
         return [KINDS[kind](*fields) for _, kind, *fields in self._ring]
+
+    def save(self, path: Path) -> None:
+        """Write what is kept, an entry a line, for a process that draws it. Raises OSError."""
+        unfinished = path.with_suffix(".unfinished")
+        with unfinished.open("w") as file:
+            file.writelines(json.dumps(entry) + "\n" for entry in self._ring)
+        unfinished.rename(path)  # it is there whole or not at all
+
+    @classmethod
+    def load(cls, path: Path) -> Trace:
+        """What another process saved; the file is this project's own. Raises OSError."""
+        with path.open() as file:
+            entries = [_as_tuple(json.loads(line)) for line in file]
+        trace = cls(max(1, len(entries)))
+        trace._ring.extend(entries)
+        return trace
 
     # ------------------------------------------------------------------ from the scheduler
 
@@ -152,6 +170,15 @@ class Trace(Observer):
             yield message  # a message that is given up before it is published is not recorded
             thread = threading.current_thread().name
             self._add((next(self._number), "Sampled", began, made, monotonic_ns(), name, thread))
+
+
+def saved_name(process: str, life: int | str) -> str:
+    """The file in which a process saves the trace of one of its lives, counted from 1."""
+    return f"{process}.{life}.trace"
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(_as_tuple(each) for each in value) if isinstance(value, list) else value
 
 
 class TracedWorker(Worker):

@@ -7,9 +7,10 @@ import os
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pipeline.drivers.exchange import Exchange
@@ -19,6 +20,7 @@ from pipeline.errors import OverflightError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph
 from pipeline.measuring.profiler import Profiler
+from pipeline.measuring.trace import Trace, saved_name
 from pipeline.processes.control import Control, Stopped
 from pipeline.processes.joint import Joint
 from pipeline.scheduling.partition import Part
@@ -138,14 +140,37 @@ def _run(
             control.running,
             exchange.books,
         )
-        result = run_graph(
-            graph,
-            catalog,
-            speed=header["speed"],
-            profiler=profiler,
-            board=control,
-            recorder=stack.enter_context(record(header, graph)),
-            joint=joint,
-        )
+        failures: list[str] = []
+        with _traced(header, failures) as trace:
+            result = run_graph(
+                graph,
+                catalog,
+                speed=header["speed"],
+                profiler=profiler,
+                trace=trace,
+                board=control,
+                recorder=stack.enter_context(record(header, graph)),
+                joint=joint,
+            )
         stack.close()  # the others hear the end of the streams before they are told that we ended
-        control.ended(result.report | {"failures": list(result.failures)}, KEPT_S)
+        control.ended(result.report | {"failures": [*result.failures, *failures]}, KEPT_S)
+
+
+@contextlib.contextmanager
+def _traced(header: Mapping[str, Any], failures: list[str]) -> Iterator[Trace | None]:
+    """A trace where the call asks for one, saved however the run ends; `failures` says where not.
+
+    Several processes of one host share the clock of its entries.
+    """
+    asked = header["trace"]
+    if asked is None:
+        yield None
+        return
+    trace = Trace(asked["entries"])
+    try:
+        yield trace
+    finally:
+        try:
+            trace.save(Path(asked["folder"]) / saved_name(header["process"], header["life"]))
+        except OSError as error:
+            failures.append(f"processes.{header['process']}: its trace is lost: {error.strerror}")

@@ -20,6 +20,7 @@ from pipeline.graph.graph import Graph
 from pipeline.measuring.ending import Ended, stopped_by_signals
 from pipeline.measuring.statistics import Event
 from pipeline.measuring.status import Pages
+from pipeline.measuring.trace import Trace
 from pipeline.processes.control import State
 from pipeline.processes.endpoints import ends_of, host_of_clock
 from pipeline.processes.fault_plan import planned_faults
@@ -57,11 +58,14 @@ class Supervisor:
         host: str | None = None,
         board: Pages | None = None,
         progress: Callable[[Snapshot], None] | None = None,
+        trace: Trace | None = None,
     ) -> None:
+        """`trace` gets the events of the supervisor itself."""
         self._graph = graph
         self._speed = speed
         self._board = board
         self._progress = progress
+        self._trace = trace
         self._events: list[Event] = []
         self._stop_asked: signal.Signals | None = None
         self._origin = 0
@@ -299,4 +303,7 @@ class Supervisor:
 
     def _event(self, kind: str, subject: str, text: str) -> None:
         elapsed = max(0, time.monotonic_ns() - self._began_ns) if self._began_ns else 0
-        self._events.append(Event(self._origin + int(elapsed * self._speed), kind, subject, text))
+        at = self._origin + int(elapsed * self._speed)
+        self._events.append(Event(at, kind, subject, text))
+        if self._trace is not None:
+            self._trace.told(kind, subject, text, at)

@@ -33,8 +33,11 @@ def runs_apart(graph: Graph, host: str | None, *, alone: bool) -> bool:
     return not alone and (len(graph.placement.processes(host)) > 1 or host is not None)
 
 
-def opening(files: GraphFiles, record: Mapping[str, Any] | None) -> dict[str, Any]:
-    """What a part needs to load the graph, and to `record` what it does, as JSON values."""
+def opening(
+    files: GraphFiles, record: Mapping[str, Any] | None, trace: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """What a part needs to load the graph, and to `record` and `trace` what it does, as JSON
+    values."""
     return {
         "graph": str(files.path),
         "settings": list(files.settings),
@@ -42,6 +45,7 @@ def opening(files: GraphFiles, record: Mapping[str, Any] | None) -> dict[str, An
         "models": list(map(str, files.models)),
         "out": str(files.out),
         "record": record,
+        "trace": trace,
     }
 
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from pipeline.drivers.run import run_graph
 from pipeline.measuring.board import Board
 from pipeline.measuring.expectations import failed, verdicts
-from pipeline.measuring.trace import CAPACITY, Trace
+from pipeline.measuring.trace import CAPACITY
 from pipeline.processes.supervisor import Supervisor
 from pipeline.recording.flight import Flight
 from pipeline.recording.mcap import Compression
@@ -23,9 +23,9 @@ from tools.recording.record import recording
 from tools.running.apart import opening, record_asked, recordings, runs_apart
 from tools.running.part_process import MODULE
 from tools.running.telling import Told
+from tools.running.tracing import Tracing
 from tools.validate import print_warnings
 from tools.watching.progress import Progress
-from tools.watching.trace import write_trace
 
 
 def run_file(
@@ -65,59 +65,53 @@ def run_file(
     if record is not None:
         make_room_for(record, "recording")
     apart = runs_apart(graph, host, alone=speed is None or flight is not None)
-    if apart and trace is not None:
-        raise typer.BadParameter(
-            "--trace draws one process, and this graph runs in several; use --record, which "
-            "`overflight explain` reads"
-        )
     started = time.time()
-    recorded = None if trace is None else Trace(trace_entries)
-    try:
-        with contextlib.ExitStack() as stack:
-            progress = Progress(graph.topology, Console(stderr=True))
-            recorder = None
-            if record is not None and not apart:
-                kept = recording(
-                    record,
-                    graph,
-                    offline=speed is None,
-                    edges=record_edges,
-                    compression=record_compression,
-                )
-                recorder = stack.enter_context(kept)
-            show = None if quiet else stack.enter_context(progress)
-            board = _open_board(stack)
-            if apart:
-                assert speed is not None
-                asked = None
-                if record is not None:
-                    asked = record_asked(graph, record, record_edges, record_compression)
-                supervisor = Supervisor(
-                    graph,
-                    MODULE,
-                    opening(given, asked),
-                    speed=speed,
-                    host=host,
-                    board=board,
-                    progress=show,
-                )
-                result = supervisor.run(duration_s)
-            else:
-                result = run_graph(
-                    graph,
-                    catalog,
-                    speed=speed,
-                    duration_s=duration_s,
-                    progress=show,
-                    trace=recorded,
-                    board=board,
-                    recorder=recorder,
-                )
-    finally:  # a run that ended badly is the one to look at
-        if recorded is not None and trace is not None and recorded.recorded:
-            if not quiet:
-                typer.echo(f"Writing {trace} ...", err=True)
-            write_trace(recorded, graph.topology, graph.name, trace)
+    with contextlib.ExitStack() as stack:
+        tracing = None
+        if trace is not None:
+            tracing = Tracing(trace, trace_entries, graph, apart=apart, quiet=quiet)
+            stack.enter_context(tracing)
+        own_trace = None if tracing is None else tracing.own
+        progress = Progress(graph.topology, Console(stderr=True))
+        recorder = None
+        if record is not None and not apart:
+            kept = recording(
+                record,
+                graph,
+                offline=speed is None,
+                edges=record_edges,
+                compression=record_compression,
+            )
+            recorder = stack.enter_context(kept)
+        show = None if quiet else stack.enter_context(progress)
+        board = _open_board(stack)
+        if apart:
+            assert speed is not None
+            asked = None
+            if record is not None:
+                asked = record_asked(graph, record, record_edges, record_compression)
+            supervisor = Supervisor(
+                graph,
+                MODULE,
+                opening(given, asked, None if tracing is None else tracing.asked),
+                speed=speed,
+                host=host,
+                board=board,
+                progress=show,
+                trace=own_trace,
+            )
+            result = supervisor.run(duration_s)
+        else:
+            result = run_graph(
+                graph,
+                catalog,
+                speed=speed,
+                duration_s=duration_s,
+                progress=show,
+                trace=own_trace,
+                board=board,
+                recorder=recorder,
+            )
     told = Told(result, verdicts(graph.expect, result.report), as_json=as_json, quiet=quiet)
     told.defects()
     if report is not None:
@@ -126,8 +120,8 @@ def run_file(
     if apart and record is not None:
         files += recordings(record)
     told.tables([*_written(out, started), *files])
-    if recorded is not None and trace is not None and not (as_json or quiet):
-        told.trace(trace, recorded)
+    if tracing is not None and not (as_json or quiet):
+        Console().print(tracing.told(), highlight=False, soft_wrap=True)
     return (*result.failures, *failed(told.judged))
 
 

@@ -12,7 +12,6 @@ from rich.console import Console
 
 from pipeline.drivers.run import RunResult
 from pipeline.measuring.expectations import Verdict
-from pipeline.measuring.trace import Trace
 from tools.check import verdict_table
 from tools.watching.report import print_report
 
@@ -50,11 +49,3 @@ class Told:
             console.print("\n", verdict_table(self.judged), sep="")
         if names := ", ".join(dict.fromkeys(map(str, written))):
             console.print(f"Written: {names}", highlight=False, soft_wrap=True)
-
-    def trace(self, path: Path, trace: Trace) -> None:
-        """How much of the run is in its trace."""
-        told = f"{path} has {trace.recorded - trace.overwritten} entries"
-        if trace.overwritten:
-            told += f"; {trace.overwritten} older ones were overwritten (--trace-entries)"
-        text = f"{told}. Open it at ui.perfetto.dev."
-        Console().print(text, highlight=False, soft_wrap=True)

@@ -27,6 +27,13 @@ def test_all_are_told_in_their_order() -> None:
     assert heard == [("a", "stale"), ("b", "stale")]
 
 
+def test_several_may_be_one_of_several() -> None:
+    heard: list[tuple[str, str]] = []
+    inner = observed_by(Listens(heard, "a"), Listens(heard, "b"))
+    observed_by(inner, Listens(heard, "c")).event("stale", "edge", "", 0)
+    assert heard == [("a", "stale"), ("b", "stale"), ("c", "stale")]
+
+
 def test_a_call_that_one_alone_listens_to_goes_straight_to_it() -> None:
     listens = Listens([], "a")
     assert observed_by(Observer(), listens).event == listens.event

@@ -60,7 +60,8 @@ def test_the_processes_of_a_graph_end_with_its_sources_and_one_report_and_replay
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     counts = ["--set", "stages.camera.options.count=40", "--set", "stages.lidar.options.count=20"]
-    report = run(*counts, "--record", "flight.mcap", "--record-edges", "all").report()
+    kept = ("--record", "flight.mcap", "--record-edges", "all", "--trace", "trace.json")
+    report = run(*counts, *kept).report()
     assert report["ended"] == "sources ended"
     assert report["ledger_balanced"]
     assert report["outputs"]["work/out"]["count"] == 20
@@ -68,6 +69,7 @@ def test_the_processes_of_a_graph_end_with_its_sources_and_one_report_and_replay
     assert (kept["produced"], kept["delivered"], kept["dropped"]) == (20, 20, {})
     assert set(report["processes"]) == {"main", "far"}
     assert report["cpu"]["parts_cores"]["transport"] > 0
+    assert_traced(json.loads((tmp_path / "trace.json").read_text())["traceEvents"])
     monkeypatch.chdir(tmp_path)
     for name in ("main", "far"):
         answer = overflight("run", f"flight.{name}.mcap", "--as-recorded", "--json")
@@ -76,6 +78,15 @@ def test_the_processes_of_a_graph_end_with_its_sources_and_one_report_and_replay
         assert replay["outputs_compared"] >= 60
         assert replay["outputs_different"] == replay["outputs_not_compared"] == 0
         assert replay["options"] == []
+
+
+def assert_traced(events: list[dict[str, Any]]) -> None:
+    """Both processes, and arrows from each to the other."""
+    group = {e["pid"]: e["args"]["name"] for e in events if e["name"] == "process_name"}
+    assert {"main: threads", "main: stages", "far: threads", "far: stages"} <= set(group.values())
+    place = {(e["ph"], e["id"]): group[e["pid"]] for e in events if e["ph"] in "sf"}
+    arrows = {(place["s", i], place["f", i]) for phase, i in place if phase == "s"}
+    assert {("main: threads", "far: threads"), ("far: threads", "main: threads")} <= arrows
 
 
 def test_ctrl_c_ends_every_process_and_leaves_nothing(run: Callable[..., Run]) -> None:

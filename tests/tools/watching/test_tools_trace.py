@@ -15,11 +15,21 @@ import pytest
 from pipeline.drivers.run import RunResult, run_graph
 from pipeline.graph.graph import Graph
 from pipeline.measuring.trace import Trace
-from pipeline.scheduling.topology import Topology
+from pipeline.scheduling.partition import Placement, part_of
+from pipeline.scheduling.topology import Input, Port, StageNode, Topology
 from tools.load import open_graph
-from tools.watching.trace import EDGES, STAGES, THREADS, trace_events, write_trace
+from tools.watching.trace import trace_events, write_trace
+from tools.watching.trace_drawing import EDGES, STAGES, THREADS, Traced
 
 FILE = Path(__file__).resolve().parents[3] / "graphs" / "emulated_uav.yaml"
+
+CUT = Topology(
+    (
+        StageNode("camera"),
+        StageNode("seen", (Input("image", (Port("camera"),)),), outputs=()),
+    )
+)
+PLACED = Placement({"camera": "main", "seen": "far"}, {"main": "here", "far": "here"})
 
 Events = list[dict[str, Any]]
 Slice = tuple[int, float, float, str]  #: thread, from, to, name
@@ -51,7 +61,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Graph, Trace, RunResu
 @pytest.fixture(scope="module")
 def events(ran: tuple[Graph, Trace, RunResult]) -> Events:
     graph, trace, _ = ran
-    return list(trace_events(trace, graph.topology))
+    return list(trace_events([Traced(trace, graph.topology)]))
 
 
 def of(events: Events, *phases: str) -> Iterator[dict[str, Any]]:
@@ -214,7 +224,7 @@ def test_what_is_left_of_a_longer_run_is_still_a_trace(
     graph, whole, _ = ran
     small = Trace(120)
     small._ring.extend(whole._ring)
-    events = list(trace_events(small, graph.topology))
+    events = list(trace_events([Traced(small, graph.topology)]))
     check_fields(events)
     for _ in arrows(events):
         pass
@@ -222,10 +232,48 @@ def test_what_is_left_of_a_longer_run_is_still_a_trace(
     assert told["name"] == f"{whole.recorded - 120} older entries were overwritten"
 
 
+def traced_part(tmp_path: Path, process: str) -> Traced:
+    """What a process of a small cut graph recorded of one message, saved and loaded again."""
+    part = part_of(CUT, PLACED, process)
+    trace = Trace()
+    number, port = 7, ("camera", "out", 7, 500, 500, ())
+    if process == "main":
+        entries: list[tuple[Any, ...]] = [
+            ("Published", 1_000, *port),
+            ("Sampled", 900, 950, 1_100, "camera", "source camera"),
+        ]
+    else:
+        entries = [
+            ("Published", 1_400, *port),
+            ("SetFormed", 1_500, "seen", 0, 500, (number,), ()),
+            ("Stepped", 1_600, 1_700, "seen", 0, "process", None, "worker 1"),
+            ("RunEnded", 1_800, "seen", 0, "finished"),
+        ]
+    trace._ring.extend((serial, *entry) for serial, entry in enumerate(entries))
+    trace.save(tmp_path / "saved.trace")
+    return Traced(Trace.load(tmp_path / "saved.trace"), part.topology, process)
+
+
+def test_an_arrow_leads_from_a_sample_to_the_run_of_another_process_on_one_clock(
+    tmp_path: Path,
+) -> None:
+    parts = [traced_part(tmp_path, process) for process in ("main", "far")]
+    assert [len(each.trace.entries()) for each in parts] == [2, 4]
+    events = list(trace_events(parts))
+    check_fields(events)
+    groups = {e["args"]["name"]: e["pid"] for e in of(events, "M") if e["name"] == "process_name"}
+    assert groups == {"main: threads": 1, "far: threads": 4, "far: stages": 5}
+    [start], [end] = of(events, "s"), of(events, "f")
+    assert (start["pid"], end["pid"]) == (1, 4)
+    assert (start["ts"], end["ts"]) == (0.1, 0.7)  # us since the first entry of all
+    way = [e["ts"] for e in of(events, "b", "e") if e["name"] == "camera/out on its way"]
+    assert way == [0.1, 0.5]
+
+
 @pytest.mark.parametrize("name", ["trace.json", "trace.json.gz"])
 def test_an_empty_trace_is_a_file_that_opens(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
-    write_trace(Trace(5), Topology(()), "nothing", path)
+    write_trace([Traced(Trace(5), Topology(()))], "nothing", path)
     text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
     page = json.loads(text)
     assert page["otherData"] == {"graph": "nothing", "entries": 0, "overwritten": 0}
