@@ -16,6 +16,7 @@ from pipeline.drivers.run import open_stages
 from pipeline.errors import DataError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph
+from pipeline.graph.run_folder import folder_of_this_run
 from pipeline.measuring.announcements import logged_as_events
 from pipeline.measuring.ending import Ended, stopped_by_signals
 from pipeline.measuring.profiler import Profiler
@@ -69,6 +70,7 @@ def replay_flight(
     topology = recorded.topology  # with the number of workers that were there
     statistics = Statistics(offline=recorded.offline, profiler=Profiler())
     with contextlib.ExitStack() as stack:
+        stack.enter_context(folder_of_this_run(graph))
         stack.enter_context(logged_as_events(statistics, lambda: 0))
         stack.enter_context(statistics.profiler)
         devices = stack.enter_context(Devices(graph, catalog, statistics.profiler))

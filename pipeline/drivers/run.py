@@ -21,6 +21,7 @@ from pipeline.drivers.offline import OfflineDriver
 from pipeline.errors import OverflightError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph
+from pipeline.graph.run_folder import folder_of_this_run
 from pipeline.measuring.announcements import logged_as_events
 from pipeline.measuring.ending import Ended, stopped_by_signals
 from pipeline.measuring.observers import observed_by
@@ -120,6 +121,8 @@ def run_graph(
     signaled: list[signal.Signals] = []
     clock: Clock = ManualClock()  # nothing runs yet: it stands at 0
     with contextlib.ExitStack() as stack:
+        if joint is None:
+            stack.enter_context(folder_of_this_run(graph))
         stack.enter_context(logged_as_events(statistics, lambda: clock.now()))
         stack.enter_context(profiler)
         devices = stack.enter_context(Devices(graph, catalog, profiler))

@@ -9,10 +9,13 @@ from pathlib import Path
 from pipeline.graph.nodes import Mark, Node, Origin, Steps
 from pipeline.graph.read import MAX_DEPTH, MAX_NODES
 from pipeline.graph.report import Report
+from pipeline.graph.run_folder import run_folder
 from pipeline.graph.wording import shown, suggest
 
 _PLACE = re.compile(r"\$(?:(?P<escaped>\$)|(?P<name>[A-Za-z_]\w*)|\{(?P<braced>[A-Za-z_]\w*)\}|)")
 _LONGEST_TEXT = 65_536
+#: What every file has without a word of its own.
+_GIVEN = {"out": "the output folder (--out)", "run": "a folder of one run alone"}
 #: What may use parameters; `include` is read before they are known.
 _USERS = ("parameters", "devices", "calibration", "stages")
 
@@ -22,15 +25,15 @@ def resolve_parameters(tree: Node, out: Path, report: Report) -> tuple[Node, fro
 
     A value that is ``$name`` and nothing else gets the parameter's own type; inside text the
     parameter is written out. ``${name}`` separates it from letters that follow; ``$$`` is a dollar.
-    Relative paths stay relative to the file that set the parameter. ``$out`` is the output folder.
+    Relative paths stay relative to the file that set the parameter. ``$out`` is the output folder,
+    ``$run`` a folder in it that is of one run alone (`run_folder.py`).
     """
     parameters = tree.get("parameters")
     known = parameters.entries() if parameters is not None else {}
-    if "out" in known:
-        mark = known["out"].key or known["out"].mark
-        report.mistake_at(
-            mark, "$out is the output folder (--out); name it otherwise", ("parameters", "out")
-        )
+    for name, what in _GIVEN.items():
+        if name in known:
+            mark = known[name].key or known[name].mark
+            report.mistake_at(mark, f"${name} is {what}; name it otherwise", ("parameters", name))
     resolver = _Resolver(dict(known), out, report)
     for key in _USERS:
         if (node := tree.get(key)) is not None:
@@ -46,7 +49,8 @@ class _Resolver:
     def __init__(self, known: dict[str, Node], out: Path, report: Report) -> None:
         self._known = known
         self._report = report
-        self._values: dict[str, Node] = {"out": Node(str(out), Mark(Origin("--out", Path(), 0)))}
+        mark = Mark(Origin("--out", Path(), 0))
+        self._values = {"out": Node(str(out), mark), "run": Node(str(run_folder(out)), mark)}
         self._inside: list[str] = []  #: parameters that are being resolved
         self.used: set[str] = set()
 
@@ -119,7 +123,7 @@ class _Resolver:
             return self._values[name]
         nothing = Node(None, mark, broken=True)
         if name not in self._known:
-            what = f"no parameter '${name}'{suggest(name, [*self._known, 'out'])}"
+            what = f"no parameter '${name}'{suggest(name, [*self._known, *_GIVEN])}"
             self._report.mistake_at(mark, what, steps)
             return nothing
         if name in self._inside:

@@ -17,6 +17,7 @@ from typing import Any
 from pipeline.drivers.run import RunResult, Snapshot
 from pipeline.errors import DeviceError, OverflightError
 from pipeline.graph.graph import Graph
+from pipeline.graph.run_folder import folder_of_this_run
 from pipeline.measuring.ending import Ended, stopped_by_signals
 from pipeline.measuring.statistics import Event
 from pipeline.measuring.status import Pages
@@ -104,7 +105,7 @@ class Supervisor:
         Raises OverflightError where a part does not open.
         """
         shared_files.sweep()
-        with self._all_closed():
+        with folder_of_this_run(self._graph), self._all_closed():
             for process in self._processes.values():
                 process.start()
             self._open()  # Ctrl-C ends it at once: nothing has begun
@@ -237,7 +238,7 @@ class Supervisor:
             and not stage.cls.stateless
             and not stage.contract.is_source
         ]
-        text = f"its process is back, started for the {process.lives}. time"
+        text = f"its process is back (start {process.lives})"
         self._event("process_back", process.name, text)
         for name in kept:
             text = "began anew: what it kept in memory is lost, but for what it reads back itself"

@@ -13,6 +13,7 @@ STEPS = ("prepare", "infer", "finish")
 
 #: Events that tell the story of a device or a process, and their colors.
 STORY = {
+    "fault": "magenta",  # on purpose
     **dict.fromkeys(("device_down", "device_hung", "process_lost", "state_reset"), "yellow"),
     **dict.fromkeys(("device_up", "process_back"), "green"),
     **dict.fromkeys(("process_failed", "process_given_up"), "red"),
@@ -45,6 +46,8 @@ def print_report(report: Mapping[str, Any], console: Console) -> None:
     if any(device["runs"] for device in report["devices"].values()):
         console.print(_devices(report["devices"]))
         console.print("Wait: what a prepared run waits for its device.\n", style="dim")
+    if again := _started_again(report.get("processes", {})):
+        console.print(again, style="dim", highlight=False)
     for event in report["events"]:
         if event["kind"] in STORY:
             line = f"{event['at_s']:7.2f} s  {event['of']} {event['text']}"
@@ -74,6 +77,18 @@ def print_report(report: Mapping[str, Any], console: Console) -> None:
         )
     else:
         console.print("The ledger does not balance: please report this.", style="red")
+
+
+def _started_again(processes: Mapping[str, Any]) -> str:
+    """Which figures above are not of the whole run: those that died with a process."""
+    names = [name for name, process in processes.items() if process["restarts"]]
+    if not names:
+        return ""
+    of = "their stages are of their" if len(names) > 1 else "its stages are of its"
+    return (
+        f"{' and '.join(names)} started anew: counts of messages are of the whole run; rates, "
+        f"ages, device times and CPU of {of} last start.\n"
+    )
 
 
 def _processes(processes: Mapping[str, Any]) -> str:
