@@ -16,7 +16,7 @@ from pipeline.drivers.run import open_stages
 from pipeline.errors import DataError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph
-from pipeline.graph.run_folder import folder_of_this_run
+from pipeline.graph.run_folder import folder_of_this_run, run_folder
 from pipeline.measuring.announcements import logged_as_events
 from pipeline.measuring.ending import Ended, stopped_by_signals
 from pipeline.measuring.profiler import Profiler
@@ -25,6 +25,7 @@ from pipeline.measuring.statistics import Event, Statistics
 from pipeline.recording.codec import Codecs
 from pipeline.recording.comparing import rules_differ
 from pipeline.recording.flight import Flight
+from pipeline.recording.left_behind import restore
 from pipeline.recording.outline import Outline
 from pipeline.recording.payloads import Payloads
 from pipeline.recording.reenactment import Different
@@ -71,6 +72,8 @@ def replay_flight(
     statistics = Statistics(offline=recorded.offline, profiler=Profiler())
     with contextlib.ExitStack() as stack:
         stack.enter_context(folder_of_this_run(graph))
+        if graph.written is not None:
+            restore(flight.reader, run_folder(graph.written.out))
         stack.enter_context(logged_as_events(statistics, lambda: 0))
         stack.enter_context(statistics.profiler)
         devices = stack.enter_context(Devices(graph, catalog, statistics.profiler))

@@ -18,6 +18,7 @@ import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.reader import SeekingReader
+from mcap.records import Attachment as McapAttachment
 from mcap.records import Channel as McapChannel
 from mcap.records import Chunk as McapChunk
 from mcap.records import ChunkIndex
@@ -38,6 +39,9 @@ CHUNK_BYTES = 1 << 20
 MAX_RECORD_BYTES = 1 << 28
 #: What the library raises on damaged bytes: its own errors, and those of struct, zstandard and lz4.
 _UNREADABLE = Exception
+
+#: What a walk through a file tells of.
+_Scanned = McapSchema | McapChannel | McapMessage | McapMetadata | McapAttachment
 
 Compression = Literal["zstd", "lz4", "none"]
 _COMPRESSIONS: Mapping[Compression, CompressionType] = {
@@ -160,6 +164,13 @@ class McapWriter:
         except OSError as error:
             raise self._failed(error) from error
 
+    def attach(self, name: str, data: bytes) -> None:
+        """Add a whole file of another kind."""
+        try:
+            self._writer.add_attachment(0, 0, name, "application/octet-stream", data)
+        except OSError as error:
+            raise self._failed(error) from error
+
     def _failed(self, error: OSError) -> DataError:
         self.broken = True
         return DataError(f"cannot write {self.path}: {error.strerror}")
@@ -216,6 +227,18 @@ class McapReader:
             except _UNREADABLE as error:
                 raise self._damaged(error) from error
 
+    def attachments(self) -> Iterator[tuple[str, bytes]]:
+        """The files in it, by name."""
+        if not self.is_whole():
+            yield from ((r.name, r.data) for r in self._scan() if isinstance(r, McapAttachment))
+            return
+        with self._open() as file:
+            try:
+                reader = SeekingReader(file, record_size_limit=MAX_RECORD_BYTES)
+                yield from ((found.name, found.data) for found in reader.iter_attachments())
+            except _UNREADABLE as error:
+                raise self._damaged(error) from error
+
     def records(self, topics: Collection[str]) -> Generator[Record]:
         """The messages of some topics in the order of `received`; of a file that was cut short in
         the order of writing, up to its last whole chunk."""
@@ -252,7 +275,7 @@ class McapReader:
         file.seek(0)
         return file
 
-    def _scan(self) -> Iterator[McapSchema | McapChannel | McapMessage | McapMetadata]:
+    def _scan(self) -> Iterator[_Scanned]:
         """Every record up to where the file ends or is broken."""
         with self._open() as file:
             try:
@@ -260,7 +283,7 @@ class McapReader:
                 for record in reader.records:
                     inside = _unpacked(record) if isinstance(record, McapChunk) else (record,)
                     for inner in inside:
-                        if isinstance(inner, McapSchema | McapChannel | McapMessage | McapMetadata):
+                        if isinstance(inner, _Scanned):
                             yield inner
             except _UNREADABLE:
                 return  # what follows was never written whole

@@ -31,12 +31,18 @@ def info(
 
     from pipeline.recording.flight import Flight
     from tools.recording.info import describe, print_info
+    from tools.recording.several import flight_files
 
+    files = flight_files(flight) or [flight]  # what is no flight says so itself
     if graph:
-        typer.echo(Flight(flight).manifest.text, nl=False)
+        typer.echo(Flight(files[0]).manifest.text, nl=False)
         return
-    found = describe(flight)
+    found = [describe(file) for file in files]
     if as_json:
-        typer.echo(json.dumps(asdict(found), indent=2))
-    else:
-        print_info(found, Console())
+        pages = [asdict(one) for one in found]
+        typer.echo(json.dumps(pages if len(pages) > 1 else pages[0], indent=2))
+        return
+    for number, one in enumerate(found):
+        print_info(one, Console())
+        if number + 1 < len(found):
+            typer.echo()

@@ -147,20 +147,23 @@ def run(
     """
     factor = parse_speed(speed)
     from tools.recording.flight_graph import is_flight
+    from tools.recording.several import flight_files
     from tools.running.run import run_file
 
     own = flight is None and is_flight(graph)
     if as_recorded:
-        if not own and flight is None:
-            raise typer.BadParameter(f"--as-recorded: {graph} is no flight; name one after it")
+        flights = flight_files(flight or graph)
+        if not flights:
+            hint = "" if flight is not None else "; name one after it"
+            raise typer.BadParameter(f"--as-recorded: {flight or graph} is no flight{hint}")
         for name, given in (("record", record), ("trace", trace), ("duration", duration)):
             if given is not None:
                 raise typer.BadParameter(f"--{name} has no meaning with --as-recorded")
-        from tools.recording.replay import replay_file
+        from tools.recording.replay import replay_flights
 
-        failures = replay_file(
-            flight or graph,
-            None if own else graph,
+        failures = replay_flights(
+            flights,
+            None if flight is None else graph,
             settings=settings or (),
             overlays=overlays or (),
             models=models or (),

@@ -27,6 +27,7 @@ from tools.recording.explain_table import (
     print_summary,
     print_triggers,
 )
+from tools.recording.several import file_of_stage
 
 #: Triggers that are listed without --all: those that waited longest or found something missing.
 LISTED = 12
@@ -42,13 +43,13 @@ def explain_file(
     as_json: bool = False,
 ) -> None:
     """Explain a stage, or one trigger of it. Raises DataError."""
-    flight = Flight(path)
+    flight = Flight(file_of_stage(path, stage))
     _check_stage(flight, stage)
     console = Console()
     with Console(stderr=True).status("stepping the scheduler through the flight ..."):
         explanation = explain(flight, stage)
     if not explanation.triggers:
-        raise DataError(f"{path}: nothing ever came to the trigger of {stage}")
+        raise DataError(f"{flight.path}: nothing ever came to the trigger of {stage}")
     if explanation.gap is not None:
         Console(stderr=True).print(f"Only the beginning: {explanation.gap}", style="yellow")
     chosen = _chosen(explanation, at_s)

@@ -1,4 +1,8 @@
-"""`overflight run --as-recorded`: a flight decided again as it was, and held against its hashes."""
+"""`overflight run --as-recorded`: a flight decided again as it was, and held against its hashes.
+
+Each process of a flight decided alone, from what its sensors and the other processes sent; so they
+are replayed one after the other.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +21,12 @@ from pipeline.recording.comparing import options_differ, surroundings_differ
 from pipeline.recording.flight import Flight
 from tools.recording.flight_graph import GraphFiles, own_graph, payload_codecs, without_faults
 from tools.recording.record import machine, manifest_of
+from tools.recording.several import schedules
 from tools.versions import versions
 
 
-def replay_file(
-    flight_path: Path,
+def replay_flights(
+    flights: Sequence[Path],
     graph_path: Path | None,
     *,
     settings: Sequence[str] = (),
@@ -33,7 +38,49 @@ def replay_file(
     as_json: bool = False,
     quiet: bool = False,
 ) -> Sequence[str]:
-    """Re-enact a flight with its own graph, or with the one of a file; returns what differs."""
+    """Re-enact the files of a flight with their own graph, or with the one of a file; returns what
+    differs."""
+    pages: dict[str, dict[str, Any]] = {}
+    failures: list[str] = []
+    fed = stages_fed(flights, feed)
+    for path in flights:
+        page, failed = _replay(
+            path, graph_path, settings, overlays, models, out, fed[path], quiet=quiet
+        )
+        pages[path.name] = page
+        failures += failed if len(flights) == 1 else (f"{path.name}: {one}" for one in failed)
+        if not (as_json or quiet):
+            console = Console()
+            if len(flights) > 1:
+                console.print(f"[bold]{path}[/bold]", highlight=False)
+            print_replay(page["replay"], console)
+    text = json.dumps(pages if len(pages) > 1 else next(iter(pages.values())), indent=2)
+    if report is not None:
+        report.write_text(text + "\n")
+    if as_json:
+        typer.echo(text)
+    return failures
+
+
+def stages_fed(flights: Sequence[Path], feed: Sequence[str]) -> dict[Path, list[str]]:
+    """The stages of `feed` that each file scheduled; the first is asked for what none did, too."""
+    fed = {path: [name for name in feed if schedules(path, name)] for path in flights}
+    fed[flights[0]] += set(feed).difference(*fed.values())
+    return fed
+
+
+def _replay(
+    flight_path: Path,
+    graph_path: Path | None,
+    settings: Sequence[str],
+    overlays: Sequence[Path],
+    models: Sequence[Path],
+    out: Path,
+    feed: Sequence[str],
+    *,
+    quiet: bool,
+) -> tuple[dict[str, Any], Sequence[str]]:
+    """The report of one file, and what is not as recorded."""
     flight = Flight(flight_path)
     recorded = flight.manifest
     with contextlib.ExitStack() as stack:
@@ -44,7 +91,12 @@ def replay_file(
             graph, catalog = files.open(*faults)
         progress = None if quiet else stack.enter_context(_progress(recorded.graph))
         result = replay_flight(
-            graph, catalog, flight, payload_codecs(graph), feed=feed, progress=progress
+            graph,
+            catalog,
+            flight,
+            payload_codecs(graph),
+            feed=feed,
+            progress=progress,
         )
     replayed = graph.part(recorded.process)[0] if recorded.process else graph
     page = {**result.report}
@@ -52,14 +104,7 @@ def replay_file(
         "surroundings": surroundings_differ(recorded, _present(versions()), machine()),
         "options": options_differ(recorded, manifest_of(replayed, offline=recorded.offline)),
     }
-    text = json.dumps(page, indent=2)
-    if report is not None:
-        report.write_text(text + "\n")
-    if as_json:
-        typer.echo(text)
-    elif not quiet:
-        print_replay(page["replay"], Console())
-    return result.failures
+    return page, result.failures
 
 
 def print_replay(replay: Mapping[str, Any], console: Console) -> None:

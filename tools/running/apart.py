@@ -60,8 +60,3 @@ def record_asked(
 def recorded(path: Path, process: str) -> Path:
     """The recording of one process: ``flight.mcap`` becomes ``flight.mapping.mcap``."""
     return path.with_name(f"{path.stem}.{process}{path.suffix}")
-
-
-def recordings(path: Path) -> list[Path]:
-    """The files that the processes of a run wrote."""
-    return sorted(path.parent.glob(f"{path.stem}.*{path.suffix}"))

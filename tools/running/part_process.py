@@ -10,7 +10,7 @@ import gc
 import os
 import socket
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,13 +38,16 @@ def load(header: Mapping[str, Any]) -> tuple[Graph, Catalog]:
     )
 
 
-def record(
-    header: Mapping[str, Any], graph: Graph
-) -> contextlib.AbstractContextManager[Recorder | None]:
-    """A recorder where `opening` asked for one; after a restart it begins another file."""
+@contextlib.contextmanager
+def record(header: Mapping[str, Any], graph: Graph) -> Iterator[Recorder | None]:
+    """A recorder where `opening` asked for one; after a restart it begins another file, with what
+    the start before left."""
     asked = header["record"]
     if asked is None:
-        return contextlib.nullcontext()
+        yield None
+        return
+    from pipeline.graph.run_folder import run_folder
+    from pipeline.recording.left_behind import keep
     from tools.recording.record import SOURCES, recording
     from tools.running.apart import recorded
 
@@ -52,14 +55,17 @@ def record(
     path = recorded(Path(asked["path"]), header["process"])
     if header["life"] > 1:
         path = recorded(path, str(header["life"]))
-    return recording(
+    with recording(
         path,
         graph,
         offline=False,
         edges=(SOURCES, *(edge for edge in asked["edges"] if edge in own)),
         compression=asked["compression"],
         process=header["process"],
-    )
+    ) as recorder:
+        if header["life"] > 1 and graph.written is not None:
+            keep(recorder.file, run_folder(graph.written.out))
+        yield recorder
 
 
 def main() -> None:

@@ -20,7 +20,8 @@ from pipeline.recording.flight import Flight
 from pipeline.recording.mcap import Compression
 from tools.recording.flight_graph import GraphFiles, on_flight
 from tools.recording.record import recording
-from tools.running.apart import opening, record_asked, recordings, runs_apart
+from tools.recording.several import flight_files, process_files
+from tools.running.apart import opening, record_asked, runs_apart
 from tools.running.part_process import MODULE
 from tools.running.telling import Told
 from tools.running.tracing import Tracing
@@ -116,9 +117,10 @@ def run_file(
     told.defects()
     if report is not None:
         report.write_text(told.text() + "\n")
-    files = [file for file in (report, trace, record) if file is not None and file.exists()]
-    if apart and record is not None:
-        files += recordings(record)
+    files = [file for file in (report, trace) if file is not None and file.exists()]
+    if record is not None:
+        written = process_files(record) if apart else flight_files(record)
+        files += (file for file in written if _is_of(file, started))
     told.tables([*_written(out, started), *files])
     if tracing is not None and not (as_json or quiet):
         Console().print(tracing.told(), highlight=False, soft_wrap=True)
@@ -150,6 +152,11 @@ def _written(folder: Path, since: float) -> Iterator[Path]:
         return
     for entry in sorted(folder.iterdir()):
         files = entry.rglob("*") if entry.is_dir() else (entry,)
-        # A file's time comes from the kernel's coarse clock, which lags by some milliseconds.
-        if any(file.stat().st_mtime >= since - 0.1 for file in files):
+        if any(_is_of(file, since) for file in files):
             yield entry
+
+
+def _is_of(file: Path, since: float) -> bool:
+    """Whether it was written after an instant; a file's time comes from the kernel's coarse clock,
+    which lags by some milliseconds."""
+    return file.stat().st_mtime >= since - 0.1

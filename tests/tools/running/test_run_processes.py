@@ -143,7 +143,10 @@ def test_with_the_supervisor_killed_no_process_stays(run: Callable[..., Run]) ->
 
 
 def test_a_process_that_was_killed_leaves_its_flight_and_begins_another(
-    run: Callable[..., Run], tmp_path: Path, overflight: Callable[..., Any]
+    run: Callable[..., Run],
+    tmp_path: Path,
+    overflight: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     graph = run("--duration", "12", "--record", "f.mcap")
     graph.until(lambda page: page["outputs"].get("work/out", {}).get("count", 0) > 15)
@@ -155,3 +158,8 @@ def test_a_process_that_was_killed_leaves_its_flight_and_begins_another(
         info = json.loads(overflight("info", life, "--json").out)
         assert info["decisions"] > (5 if life == "f.far.mcap" else 0)
         assert info["whole"] == (life == "f.far.2.mcap")
+    monkeypatch.chdir(tmp_path)
+    pages = json.loads(overflight("run", "f.mcap", "--as-recorded", "--json").out)
+    assert list(pages) == ["f.far.mcap", "f.far.2.mcap", "f.main.mcap"]
+    assert all(page["replay"]["decisions_identical"] for page in pages.values())
+    assert all(page["replay"]["outputs_different"] == 0 for page in pages.values())
