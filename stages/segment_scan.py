@@ -30,8 +30,8 @@ class SegmentScan(ModelStage):
     `RangeImage`). Points out of the field of view or without a return get no evidence.
 
     `back: cell` gives a point the scores of its cell, and none where the cell has no return.
-    `neighbors` cleans up around edges: a point takes the mean of the cells near it in range, its
-    own cell among them or not, at about 12 ms per 131,072 points. `temperature` above 1 makes an
+    `neighbors` cleans up around edges: a point takes the mean of the cells near it in space, its
+    own cell among them or not, at about 10 ms per 131,072 points. `temperature` above 1 makes an
     overconfident network milder. Without a class map the network's channels are ours.
     """
 
@@ -110,13 +110,15 @@ class SegmentScan(ModelStage):
             raise ModelError(
                 f"model '{self.model.name}' answers {scores.shape[:2]} cells for {nearest.shape}"
             )
-        back = (as_input(nearest), as_input(cell), as_input(distance), self._classes)
+        back = (as_input(nearest), as_input(cell), as_input(distance))
         if self._back == "neighbors":
             probabilities = np.zeros((*nearest.shape, CHANNELS), dtype=np.float32)
             probabilities[..., : self._classes] = softmax(scores, self._classes)
-            rows, said = rows_by_neighbors(as_input(probabilities), *back)
+            rows, said = rows_by_neighbors(
+                as_input(probabilities), *back, as_input(payload.points), self._classes
+            )
         else:
-            rows, said = rows_by_cell(as_input(scores), *back)
+            rows, said = rows_by_cell(as_input(scores), *back, self._classes)
         return Cloud(
             payload.points, rows, said, None, payload.sensor, payload.times_ns, payload.shape
         )

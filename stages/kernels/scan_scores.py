@@ -11,10 +11,15 @@ from numpy.typing import NDArray
 from stages.kernels.compiled import compiled
 from stages.kernels.probability import LEAST
 
-#: The clean-up looks at 5 x 5 cells around a point's own and takes the five nearest in range; what
+#: The clean-up looks at 5 x 5 cells around a point's own and takes the five nearest in space; what
 #: lies further than the cutoff says nothing of the point.
 WINDOW = 5
 CUTOFF_M = 1.0
+#: What a neighbor says weighs 1 / (its distance + this share of the range): nearly the gap between
+#: two columns of 512.
+SOFTENING = 0.01
+#: Where a cell without a return is: out of everybody's reach, and its square is still a float32.
+NOWHERE_M = 1e15
 
 
 @compiled
@@ -51,27 +56,30 @@ def rows_by_neighbors(
     nearest: NDArray[np.int32],
     cell: NDArray[np.int32],
     distance: NDArray[np.float32],
+    points: NDArray[np.float32],
     classes: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Each point gets the mean of what the network says of the cells nearest to it (kNN).
+    """Each point gets a mean of what the network says of the cells nearest to it (kNN).
 
     Where several points share a cell, or a cell lies across an edge, its class bleeds onto the
-    points behind. So of the 5 x 5 cells around a point's own, by |range - own range| * (1 - g) with
-    g a normalized Gaussian of 1 cell, the five nearest within `CUTOFF_M` count; the point's own
-    cell counts with the point's own range. SalsaNext lets their labels vote; here their
-    probabilities are averaged, as Bayes' rule wants them. Columns go around. A point whose own cell
-    has no return (of several points one stands for the cell) is told by the others alone.
+    points behind. So of the 5 x 5 cells around a point's own the five whose points are nearest to
+    it count, within `CUTOFF_M`, the nearer the more. SalsaNext compares ranges and lets labels
+    vote; here probabilities are averaged, as Bayes' rule wants them, and distances compared: along
+    a range lie the feet of a person and the street that they stand on. Where none is that near, the
+    point's own cell tells it; one whose own cell has no return (of several points one stands for
+    the cell) is told by the others alone. Columns go around.
 
-    `probabilities` (rows, columns, 16); the rest and the result as `rows_by_cell`, as
-    log-probabilities held above log 1e-6.
+    `probabilities` (rows, columns, 16); `points` (n, 3) m; the rest and the result as
+    `rows_by_cell`, as log-probabilities held above log 1e-6.
     """
+    stands = np.full((3, *nearest.shape), NOWHERE_M, dtype=np.float32)
+    known = nearest >= 0
+    known[known] = distance[nearest[known]] > 0.0
+    stands[:, known] = points[nearest[known]].T
     half = WINDOW // 2
-    padded = np.full((nearest.shape[0] + 2 * half, nearest.shape[1]), -np.inf, dtype=np.float32)
-    filled = padded[half:-half]
-    filled[nearest >= 0] = distance[nearest[nearest >= 0]]
-    filled[filled == 0.0] = -np.inf
-    padded = np.concatenate([padded[:, -half:], padded, padded[:, :half]], axis=1)
-    mean, said = _mean_of_neighbors(probabilities, padded, cell, distance, _penalties())
+    padded = np.pad(stands, ((0, 0), (half, half), (0, 0)), constant_values=NOWHERE_M)
+    padded = np.concatenate([padded[..., -half:], padded, padded[..., :half]], axis=2)
+    mean, said = _mean_of_neighbors(probabilities, padded, cell, distance, points)
     np.maximum(mean, np.float32(LEAST), out=mean)
     if len(mean):
         cv2.log(mean, dst=mean)  # a tenth of the time of np.log
@@ -80,56 +88,49 @@ def rows_by_neighbors(
     return mean, said
 
 
-def _penalties() -> NDArray[np.float32]:
-    """(5, 5) 1 - g, with g a Gaussian of sigma 1 cell whose sum is 1."""
-    offset = np.arange(WINDOW) - WINDOW // 2
-    g = np.exp(-0.5 * (offset[:, None] ** 2 + offset[None, :] ** 2))
-    return np.asarray(1.0 - g / g.sum(), dtype=np.float32)
-
-
 @compiled
 def _mean_of_neighbors(
     probabilities: NDArray[np.float32],
     padded: NDArray[np.float32],
     cell: NDArray[np.int32],
     distance: NDArray[np.float32],
-    penalties: NDArray[np.float32],
+    points: NDArray[np.float32],
 ) -> Any:
     """Points in blocks, so that the search for the five least goes over many points at once.
 
-    `padded` are the ranges with a border of 2 cells, -inf where there is no return. A gap and the
-    number of its offset share one integer (the 5 low bits of the mantissa: gaps that differ by less
-    than 4e-6 of themselves tie), so that keeping the least five sorted is a chain of minima and
-    maxima without a branch.
+    `padded` are x, y and z with a border of 2 cells, far away where there is no return. A squared
+    gap and the number of its offset share one integer (the 5 low bits of the mantissa: gaps that
+    differ by less than 2e-6 of themselves tie), so that keeping the least five sorted is a chain of
+    minima and maxima without a branch.
     """
     columns = probabilities.shape[1]
     half, stride = WINDOW // 2, columns + WINDOW - 1
-    flat, measured = probabilities.reshape(-1, 16), padded.reshape(-1)
+    flat = probabilities.reshape(-1, 16)
+    across, along, up = padded[0].reshape(-1), padded[1].reshape(-1), padded[2].reshape(-1)
     result = np.zeros((len(cell), 16), dtype=np.float32)
     said = np.zeros(len(cell), dtype=np.bool_)
     block, far = 512, np.int32(0x7FFFFFFF)
     corner = np.empty(block, dtype=np.int64)
+    x, y, z = np.empty((3, block), dtype=np.float32)
     bits = np.empty(block, dtype=np.int32)
     gaps = bits.view(np.float32)
+    kept = np.empty(1, dtype=np.int32)
+    kept_gap = kept.view(np.float32)
     l0, l1, l2, l3, l4 = np.empty((5, block), dtype=np.int32)
-    cutoff = np.float32(CUTOFF_M)
+    cutoff = np.float32(CUTOFF_M**2)
     for start in range(0, len(cell), block):
         count = min(block, len(cell) - start)
         for j in range(count):
             c = max(cell[start + j], np.int32(0))
             corner[j] = c // columns * stride + c % columns
+            x[j], y[j], z[j] = points[start + j, 0], points[start + j, 1], points[start + j, 2]
         l0[:], l1[:], l2[:], l3[:], l4[:] = far, far, far, far, far
         for number in range(WINDOW * WINDOW):
-            dv, du = number // WINDOW, number % WINDOW
-            penalty = penalties[dv, du]
-            if dv == half and du == half:
-                for j in range(count):  # the point itself, unless another stands for its cell
-                    r = measured[np.uint64(corner[j] + half * stride + half)]
-                    gaps[j] = np.float32(0.0) if r > 0.0 else np.float32(np.inf)
-            else:
-                for j in range(count):
-                    r = measured[np.uint64(corner[j] + dv * stride + du)]
-                    gaps[j] = abs(r - distance[start + j]) * penalty
+            offset = number // WINDOW * stride + number % WINDOW
+            for j in range(count):
+                at = np.uint64(corner[j] + offset)
+                dx, dy, dz = across[at] - x[j], along[at] - y[j], up[at] - z[j]
+                gaps[j] = dx * dx + dy * dy + dz * dz
             for j in range(count):
                 key = (bits[j] & ~np.int32(31)) | np.int32(number)
                 key = key if gaps[j] <= cutoff else far
@@ -145,22 +146,30 @@ def _mean_of_neighbors(
         for j in range(count):
             i = start + j
             c = cell[i]
-            if c < 0 or not distance[i] > 0.0 or l0[j] == far:
+            if c < 0 or not distance[i] > 0.0:
                 continue
+            if l0[j] == far:  # nobody is near: its own cell, whose point is another surface's
+                own = half * WINDOW + half
+                if across[np.uint64(corner[j] + half * stride + half)] == np.float32(NOWHERE_M):
+                    continue
+                l0[j] = np.int32(own)
             said[i] = True
-            found = 0
+            total = np.float32(0.0)
             for key in (l0[j], l1[j], l2[j], l3[j], l4[j]):
                 if key == far:
                     break
-                found += 1
                 number = key & np.int32(31)
+                kept[0] = key & ~np.int32(31)
+                gap_m = np.sqrt(kept_gap[0]) + np.float32(SOFTENING) * distance[i]
+                weight = np.float32(1.0) / gap_m
+                total += weight
                 v, u = c // columns + number // WINDOW - half, c % columns + number % WINDOW - half
                 u = u + columns if u < 0 else u
                 u = u - columns if u >= columns else u
                 source = np.uint64(v * columns + u)
                 for k in range(16):
-                    result[i, k] += flat[source, k]
-            share = np.float32(1.0) / np.float32(found)
+                    result[i, k] += weight * flat[source, k]
+            share = np.float32(1.0) / total
             for k in range(16):
                 result[i, k] *= share
     return result, said
