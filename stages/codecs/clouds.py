@@ -43,7 +43,7 @@ class ScanCodec:
                 proto.column_times_ns.extend(by_column[0].tolist())
             else:
                 columns.append(("time_ns", scan.times_ns))
-        return _encode(proto, message, scan.sensor, columns)
+        return pack_points(proto, message, scan.sensor, columns)
 
     def decode(self, data: bytes, received: int) -> Message[Scan]:
         proto, table = _decode(data)
@@ -92,7 +92,7 @@ class VoxelsCodec:
         ]
         proto = foxglove.new("PointCloud")
         proto.voxel_m = voxels.voxel_m
-        return _encode(proto, message, "map", [*columns, ("label", voxels.classes)])
+        return pack_points(proto, message, "map", [*columns, ("label", voxels.classes)])
 
     def decode(self, data: bytes, received: int) -> Message[LabeledVoxels]:
         proto, table = _decode(data)
@@ -108,10 +108,14 @@ class VoxelsCodec:
         return _message(proto, received, LabeledVoxels(proto.voxel_m, indices, classes))
 
 
-def _encode(
-    proto: Any, message: Message[Any], frame: str, columns: list[tuple[str, NDArray[Any]]]
+def pack_points(
+    proto: Any,
+    message: Message[Any],
+    frame: str,
+    columns: list[tuple[str, NDArray[Any]]],
+    payload: bytes | None = None,
 ) -> bytes:
-    """Pack columns of equal length as a cloud's points."""
+    """Pack columns of equal length as a cloud's points, with the payload beside them."""
     kinds = np.dtype([(name, values.dtype) for name, values in columns])
     table = np.empty(len(columns[0][1]), dtype=kinds)
     for name, values in columns:
@@ -121,7 +125,7 @@ def _encode(
     foxglove.put_times(proto, message)
     proto.frame_id, proto.point_stride = frame, kinds.itemsize
     proto.pose.orientation.w = 1.0
-    return foxglove.with_data(proto, table.view(np.uint8))
+    return foxglove.with_data(proto, table.view(np.uint8), payload)
 
 
 def _decode(data: bytes) -> tuple[Any, NDArray[Any]]:

@@ -12,6 +12,7 @@ from pipeline.transport.schema import class_name
 from stages.codecs.boxes import DetectionsCodec
 from stages.codecs.clouds import ScanCodec, VoxelsCodec
 from stages.codecs.images import DepthCodec, ImageCodec, LabelsCodec
+from stages.codecs.labeled_clouds import LabeledCloudCodec, shown_cloud, shown_map
 from stages.codecs.plain import PlainCodec
 from stages.codecs.poses import PoseCodec
 from stages.codecs.raw_images import RawDepthCodec, RawImageCodec
@@ -36,6 +37,8 @@ CODECS: Mapping[type, Codec] = {
     Labels: LabelsCodec(),
     Scan: ScanCodec(),
     LabeledVoxels: VoxelsCodec(),
+    Cloud: LabeledCloudCodec(Cloud, shown_cloud),
+    SemanticVoxels: LabeledCloudCodec(SemanticVoxels, shown_map),
     Pose: PoseCodec(),
     Detections: DetectionsCodec(),
 }
@@ -47,7 +50,7 @@ LOSSLESS: Mapping[type, Codec] = {
     DepthImage: RawDepthCodec(),
 }
 
-#: Payloads of ours that no viewer knows, and plain values.
+#: Payloads of ours that may lie in a file as they are, and plain values.
 PLAIN = (
     *(ClassScores, Cloud, FusedImage, SemanticVoxels),
     *(bool, int, float, str, bytes, tuple, list, dict, np.ndarray),

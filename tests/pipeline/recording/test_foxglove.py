@@ -59,6 +59,23 @@ def test_the_fields_have_foxgloves_names_and_numbers(name: str) -> None:
     assert all(fields[key] >= 1000 for key in fields.keys() - PUBLISHED[name].keys())
 
 
+@pytest.mark.parametrize(
+    ("name", "enum", "values"),
+    [
+        (
+            "PackedElementField",
+            "NumericType",
+            "UNKNOWN UINT8 INT8 UINT16 INT16 UINT32 INT32 FLOAT32 FLOAT64",
+        ),
+        ("PointsAnnotation", "Type", "UNKNOWN POINTS LINE_LOOP LINE_STRIP LINE_LIST"),
+    ],
+)
+def test_the_enumerations_are_foxgloves(name: str, enum: str, values: str) -> None:
+    kind = foreign(name).DESCRIPTOR.fields_by_name["type"].enum_type  # type: ignore[attr-defined]
+    assert kind.full_name == f"foxglove.{name}.{enum}"
+    assert [value.name for value in kind.values] == values.split()
+
+
 def test_another_program_reads_what_we_write() -> None:
     image = foxglove.new("CompressedImage")
     foxglove.put_times(image, Message.at(1_500_000_001, None, begin=1_400_000_000))

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from pipeline.errors import DataError
 from pipeline.message import Message
+from pipeline.recording import foxglove
 from pipeline.recording.codec import PAYLOAD
 from stages.codecs.poses import (
     decode_calibration,
@@ -21,14 +22,18 @@ from stages.codecs.poses import (
 from stages.codecs.registry import CODECS, codec_for, codec_of
 from stages.kernels.geometry import rotation_exp, rotation_from_quaternion
 from stages.labels import LabeledVoxels, Labels
+from stages.taxonomy import load_taxonomy
 from stages.types import (
+    CHANNELS,
     Calibration,
     Camera,
+    Cloud,
     DepthImage,
     Detections,
     Image,
     Pose,
     Scan,
+    SemanticVoxels,
     SensorCalibration,
 )
 
@@ -56,7 +61,27 @@ def scan(*, organized: bool, eight_bit: bool, own_times: bool) -> Scan:
     )
 
 
+def scores(count: int) -> np.ndarray[Any, np.dtype[np.float32]]:
+    return RANDOM.normal(-2, 1, (count, CHANNELS)).astype(np.float32)
+
+
 PAYLOADS = [
+    Cloud(
+        RANDOM.normal(0, 9, (24, 3)).astype(np.float32),
+        scores(24),
+        RANDOM.random(24) < 0.5,
+        pose(0.1, 0.2, 0.3),
+        "lidar",
+        times_ns=np.arange(24, dtype=np.int32),
+        shape=(4, 6),
+    ),
+    SemanticVoxels(
+        0.25,
+        RANDOM.integers(-9, 9, (7, 3)).astype(np.int32),
+        RANDOM.normal(0, 2, (7, 3)).astype(np.float32),
+        scores(7),
+        np.arange(7, dtype=np.int32),
+    ),
     Image(RANDOM.integers(0, 65536, (12, 17)).astype(np.uint16), "thermal"),
     Image(RANDOM.integers(0, 256, (12, 17)).astype(np.uint8), "gray"),
     DepthImage(RANDOM.integers(0, 20000, (9, 11)).astype(np.uint16), 0.001, "rgb"),
@@ -173,3 +198,19 @@ def test_a_topic_is_read_by_the_payload_it_names_else_by_its_schema() -> None:
 def test_a_payload_without_a_codec_is_named() -> None:
     with pytest.raises(DataError, match="no codec writes Calibration"):
         codec_of(Calibration())
+
+
+def test_a_viewer_sees_the_points_of_a_cloud_in_the_colors_of_their_classes() -> None:
+    cloud = PAYLOADS[0]
+    assert isinstance(cloud, Cloud)
+    data = CODECS[Cloud].encode(Message.at(5, cloud))
+    shown = foxglove.parse("PointCloud", data)
+    kinds = {number: kind for kind, number in foxglove.NUMERIC.items()}
+    names = [field.name for field in shown.fields]
+    assert names == ["x", "y", "z", "label", "red", "green", "blue", "alpha"]
+    table = np.frombuffer(shown.data, np.dtype([(f.name, kinds[f.type]) for f in shown.fields]))
+    assert np.array_equal(np.stack([table[axis] for axis in "xyz"], axis=1), cloud.points)
+    colors = load_taxonomy().colors
+    label = cloud.log_scores[:, : len(colors)].argmax(axis=1)
+    assert np.array_equal(table["label"], np.where(cloud.evidence, label, 255))
+    assert np.array_equal(table["red"], np.where(cloud.evidence, colors[label, 0], 128))
