@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pipeline.message import Message
@@ -19,6 +20,13 @@ def burn(loops: int) -> int:
     return total
 
 
+def burn_ns(loops: int) -> int:
+    """The same; what the calling thread's own clock says that it took."""
+    before = time.thread_time_ns()
+    burn(loops)
+    return time.thread_time_ns() - before
+
+
 class Beat(Source):
     """`count` messages, `period_ms` apart."""
 
@@ -32,10 +40,15 @@ class Beat(Source):
 
 
 class Burn(Stage):
-    """Runs the fixed loop for every message."""
+    """Runs the fixed loop for every message, and adds up what it took."""
 
     def __init__(self, *, loops: int) -> None:
         self.loops = loops
+        self.burnt_ns = 0
 
     def process(self, x: Message[Any]) -> int:
-        return burn(self.loops)
+        self.burnt_ns += burn_ns(self.loops)
+        return self.burnt_ns
+
+    def statistics(self) -> Mapping[str, float]:
+        return {"burnt_ms": self.burnt_ns / 1e6}

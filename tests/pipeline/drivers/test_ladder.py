@@ -1,4 +1,8 @@
-"""The ladder in flight: devices that raise, hang and return, on real threads."""
+"""The ladder in flight: devices that raise, hang and return, on real threads.
+
+The source waits where the stage is late, and a flight that waits for a device goes on until that is
+back: so a busy machine makes these flights longer, and no other.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,7 @@ import pytest
 from driving import MS, Ran, beat, drive
 
 from pipeline.errors import DeviceError
+from pipeline.measuring.statistics import Statistics
 from pipeline.message import Message
 from pipeline.model import ModelSpec, Tensor, Tensors
 from pipeline.scheduling.ledger import balanced
@@ -66,18 +71,20 @@ class Keep(Stage):
 def fly(
     *networks: Network,
     count: int = 60,
+    until: Callable[[Sequence[int], Statistics], bool] | None = None,
     check: Callable[[str], None] = lambda device: None,
     check_every_ms: int = 100,
     during: Callable[[Any], None] | None = None,
     **rules: Any,
 ) -> tuple[list[Message[int]], Ran]:
-    """`count` frames at 100 Hz through one stage with these networks on its ladder."""
+    """`count` frames at 100 Hz through one stage with these networks on its ladder, or as many as
+    it takes `until` the results so far, and what was told, are so."""
     names = [f"rung{network.number}" for network in networks]
     nodes: Sequence[StageNode] = [
         StageNode("source"),
         StageNode(
             "infer",
-            (Input("x", (Port("source"),)),),
+            (Input("x", (Port("source"),), policy=Policy.BLOCK, size=2),),
             devices=tuple(names),
             max_in_flight=2,
             on_error=OnError.SKIP,
@@ -86,15 +93,23 @@ def fly(
         StageNode("sink", (Input("x", (Port("infer"),), policy=Policy.BLOCK, size=9),), ()),
     ]
     sink = Keep()
+
+    def tick(driver: Any) -> None:
+        if during is not None:
+            during(driver)
+        payloads = [message.payload for message in sink.messages]
+        if until is not None and until(payloads, driver._statistics):
+            driver.stop()
+
     ran = drive(
         nodes,
         {"infer": Infer(), "sink": sink},
-        {"source": beat(count, 10)},
+        {"source": beat(count if until is None else 6_000, 10)},
         live=True,
         models={"infer": dict(zip(names, networks, strict=True))},
         check=check,
         check_every_ms=check_every_ms,
-        during=during,
+        during=tick,
     )
     assert balanced(ran.ledger)
     return sink.messages, ran
@@ -104,10 +119,24 @@ def kinds(ran: Ran) -> list[tuple[str, str]]:
     return [(event.kind, event.subject) for event in ran.statistics.events]
 
 
+def times_ms(statistics: Statistics, kind: str) -> list[float]:
+    """When events of a kind were told."""
+    return [event.at_ns / MS for event in statistics.events if event.kind == kind]
+
+
 def gaps_ms(messages: Sequence[Message[int]]) -> float:
     """The longest time without a result."""
     times = [message.received for message in messages]
     return max(b - a for a, b in itertools.pairwise(times)) / MS
+
+
+def turns(payloads: Sequence[int]) -> list[int]:
+    """The devices in the order in which they took over."""
+    return [device for device, _ in itertools.groupby(payloads)]
+
+
+def is_back(payloads: Sequence[int], statistics: Statistics) -> bool:
+    return turns(payloads) == [1, 2, 1]
 
 
 def raises(*runs: int) -> Callable[[int], None]:
@@ -120,12 +149,10 @@ def raises(*runs: int) -> Callable[[int], None]:
 
 def test_a_device_that_raises_loses_no_frame_and_the_run_goes_on_below() -> None:
     messages, ran = fly(Network(1, raises(10)), Network(2), check_every_ms=10_000)
-    first, second = messages[:9], messages[9:]
-    assert {m.payload for m in first} == {1}
-    assert {m.payload for m in second} == {2}
+    assert [message.payload for message in messages] == [1] * 9 + [2] * 51
     assert ran.ledger["source/out->infer/x"]["delivered"] == len(messages)
     assert ran.statistics.failures == []
-    assert gaps_ms(messages) < 100
+    assert gaps_ms(messages) < 5_000  # it did not wait for the device
     assert ("device_down", "rung1") in kinds(ran)
 
 
@@ -136,10 +163,7 @@ def test_results_say_which_device_made_them_and_whether_it_was_the_second_choice
 
 
 def test_a_device_that_works_again_is_climbed_back_to() -> None:
-    messages, ran = fly(Network(1, raises(10)), Network(2), check_every_ms=100)
-    payloads = [message.payload for message in messages]
-    assert payloads[0] == payloads[-1] == 1
-    assert 5 <= payloads.count(2) <= 20
+    _, ran = fly(Network(1, raises(10)), Network(2), until=is_back)
     assert kinds(ran).index(("device_down", "rung1")) < kinds(ran).index(("device_up", "rung1"))
 
 
@@ -151,20 +175,28 @@ def test_a_device_that_is_still_lost_is_asked_again_and_not_climbed_to() -> None
         if len(asked) < 3:
             raise DeviceError("not there yet")
 
-    messages, ran = fly(Network(1, raises(5)), Network(2), check=check, check_every_ms=80)
+    messages, ran = fly(
+        Network(1, raises(5)), Network(2), until=is_back, check=check, check_every_ms=80
+    )
     assert asked == ["rung1"] * 3
     assert kinds(ran).count(("device_check", "rung1")) == 2
-    assert 15 <= [m.payload for m in messages].count(2) <= 40
+    (down,) = times_ms(ran.statistics, "device_down")
+    (up,) = times_ms(ran.statistics, "device_up")
+    assert up - down >= 3 * 80
+    assert turns([message.payload for message in messages]) == [1, 2, 1]
 
 
 def test_a_device_that_flaps_is_left_alone_longer_each_time() -> None:
     network = Network(1)
     network.fault = raises(*range(5, 100))  # the check passes, the next run fails
-    _, ran = fly(network, Network(2), count=120, check_every_ms=50)
-    downs = [e.at_ns for e in ran.statistics.events if e.kind == "device_down"]
+
+    def four_times(_: Sequence[int], statistics: Statistics) -> bool:
+        return len(times_ms(statistics, "device_down")) >= 4
+
+    _, ran = fly(network, Network(2), until=four_times, check_every_ms=100)
+    downs = times_ms(ran.statistics, "device_down")
     pauses = [b - a for a, b in itertools.pairwise(downs)]
-    assert len(pauses) >= 3
-    assert all(b > 1.5 * a for a, b in itertools.pairwise(pauses))
+    assert all(pause >= 100 * 2**n for n, pause in enumerate(pauses))
 
 
 def test_a_device_that_hangs_costs_one_timeout_and_its_late_answer_is_ignored() -> None:
@@ -172,24 +204,24 @@ def test_a_device_that_hangs_costs_one_timeout_and_its_late_answer_is_ignored() 
 
     def hang(run: int) -> None:
         if run == 10:
-            release.wait(5)
+            release.wait(30)
 
     def during(driver: Any) -> None:
-        if any(event.kind == "device_hung" for event in driver._statistics.events):
+        if times_ms(driver._statistics, "device_hung"):
             release.set()
 
     messages, ran = fly(
         Network(1, hang),
         Network(2),
-        timeout=80 * MS,
+        timeout=500 * MS,
         count=80,
         during=during,
         check_every_ms=10_000,
     )
     stamps = [message.stamp for message in messages]
     assert stamps == sorted(set(stamps))
-    assert gaps_ms(messages) < 80 + 10 + 60  # the timeout, a period, and a busy machine
-    assert {m.payload for m in messages[9:]} == {2}
+    assert 500 <= gaps_ms(messages) < 5_000
+    assert [message.payload for message in messages] == [1] * 9 + [2] * 71
     assert ("device_hung", "rung1") in kinds(ran)
 
 
@@ -197,8 +229,8 @@ def test_a_run_without_another_rung_fails_and_the_stage_waits_for_its_device() -
     messages, ran = fly(Network(1, raises(10)), check_every_ms=100)
     assert ran.runs["infer"]["failed"] == 1
     assert "the device is gone" in ran.statistics.failures[0]
-    assert [m.payload for m in messages] == [1] * len(messages)
-    assert len(messages) > 25
+    assert ran.runs["infer"]["abandoned"] <= 1  # the next one, when it was between its steps
+    assert [m.payload for m in messages] == [1] * (59 - ran.runs["infer"]["abandoned"])
     assert gaps_ms(messages) > 80
 
 
@@ -208,5 +240,6 @@ def test_on_a_lower_rung_a_stage_keeps_its_rate_cap() -> None:
     )
     degraded = [m.stamp for m in messages if m.degraded]
     assert len(degraded) >= 6
-    assert all(b - a >= 45 * MS for a, b in itertools.pairwise(degraded))
+    # The first is the run that failed; one more may have been in flight, chosen before.
+    assert all(b - a >= 45 * MS for a, b in itertools.pairwise(degraded[1:]))
     assert ran.ledger["source/out->infer/x"]["dropped"]["decimated"] >= 30

@@ -1,4 +1,4 @@
-"""The live driver: real threads and the real clock, with generous bounds."""
+"""The live driver: real threads and the real clock, whose bounds a busy machine can keep."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_messages_arrive_at_their_time_and_in_order() -> None:
     stages = {"work": Apply(lambda x: x * 2), "sink": sink}
     ran = drive(_chain(Policy.BLOCK, 20), stages, {"source": beat(20, 10)}, live=True)
     assert sink.seen == [(n * 10 * MS, 2 * n) for n in range(20)]
-    assert 0.18 < ran.seconds < 1.5
+    assert 0.18 < ran.seconds < 10
     assert balanced(ran.ledger)
     assert all(page["in_flight"] == 0 for page in ran.ledger.values())
 
@@ -44,7 +44,7 @@ def test_a_slow_stage_loses_frames_by_its_policy_and_every_loss_is_counted() -> 
     page = ran.ledger["source/out->work/x"]
     assert page["produced"] == 30
     assert page["delivered"] + page["dropped"]["replaced"] == 30
-    assert 5 <= page["delivered"] <= 15
+    assert 1 <= page["delivered"] <= ran.seconds / 0.035 + 1
 
 
 def test_a_blocking_queue_loses_nothing_and_holds_the_source_back() -> None:
@@ -69,9 +69,18 @@ def test_inline_stages_run_on_the_thread_that_brings_their_trigger() -> None:
 
 
 def test_a_silent_sensor_does_not_silence_the_graph() -> None:
+    died = threading.Event()
+
     def dies_at_30ms() -> Iterator[Message[int]]:
         yield from beat(4, 10)
+        died.set()
         raise OSError("cable pulled")
+
+    def goes_on() -> Iterator[Message[int]]:
+        for scan in beat(20, 10):
+            if scan.payload == 4:
+                died.wait(60)
+            yield scan
 
     nodes = [
         StageNode("lidar"),
@@ -79,18 +88,19 @@ def test_a_silent_sensor_does_not_silence_the_graph() -> None:
         StageNode(
             "fuse",
             (
-                Input("a", (Port("lidar"),)),
-                Input("b", (Port("camera"),), Sync.NEAREST, tolerance=4 * MS, max_wait=30 * MS,
+                Input("a", (Port("lidar"),), policy=Policy.BLOCK, size=20),
+                Input("b", (Port("camera"),), Sync.NEAREST, tolerance=4 * MS, max_wait=60_000 * MS,
                       missing="proceed"),  # type: ignore[arg-type]
             ),
         ),
         StageNode("sink", (Input("x", (Port("fuse"),), policy=Policy.BLOCK, size=9),), outputs=()),
     ]  # fmt: skip
     sink = Collect()
-    sources = {"lidar": beat(20, 10), "camera": dies_at_30ms()}
+    sources = {"lidar": goes_on(), "camera": dies_at_30ms()}
     ran = drive(nodes, {"fuse": Pair(), "sink": sink}, sources, live=True)
     assert [payload[0] for _, payload in sink.seen] == list(range(20))
     assert [payload[1] for _, payload in sink.seen] == [0, 1, 2, 3] + [None] * 16
+    assert ran.seconds < 30  # nobody waited for it
     assert any("cable pulled" in failure for failure in ran.statistics.failures)
 
 
@@ -127,7 +137,7 @@ def test_skip_counts_failures_and_goes_on() -> None:
     assert ran.runs["bad"]["finished"] == 4
 
 
-def test_stop_drains_what_runs_and_ends_within_two_seconds() -> None:
+def test_stop_drains_what_runs_and_ends() -> None:
     sink = Collect()
     stages = {"work": Apply(lambda x: time.sleep(0.05) or x), "sink": sink}
     before = threading.active_count()
@@ -138,7 +148,7 @@ def test_stop_drains_what_runs_and_ends_within_two_seconds() -> None:
         live=True,
         during=lambda driver: driver.stop(),
     )
-    assert ran.seconds < 2.5
+    assert ran.seconds < 25  # of the source's 50
     assert balanced(ran.ledger)
     assert ran.runs["work"]["running"] == 0
     assert threading.active_count() == before
@@ -146,10 +156,10 @@ def test_stop_drains_what_runs_and_ends_within_two_seconds() -> None:
 
 def test_a_stage_that_hangs_is_left_behind_and_said_so() -> None:
     forever = threading.Event()
-    stages = {"work": Apply(lambda x: forever.wait(20)), "sink": Collect()}
+    stages = {"work": Apply(lambda x: forever.wait(60)), "sink": Collect()}
     ran = drive(_chain(), stages, {"source": beat(3, 5)}, live=True, duration_s=0.2)
     forever.set()
-    assert ran.seconds < 2.5
+    assert ran.seconds < 30  # of the 60 that it hangs
     assert ran.runs["work"]["abandoned"] == 1
     assert any(event.kind == "hung" for event in ran.statistics.events)
 
@@ -157,4 +167,4 @@ def test_a_stage_that_hangs_is_left_behind_and_said_so() -> None:
 def test_a_duration_ends_the_run() -> None:
     stages = {"work": Apply(abs), "sink": Collect()}
     ran = drive(_chain(), stages, {"source": beat(10_000, 5)}, live=True, duration_s=0.3)
-    assert 0.25 < ran.seconds < 1.5
+    assert 0.25 < ran.seconds < 25  # of the source's 50

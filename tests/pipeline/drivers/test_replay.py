@@ -93,7 +93,7 @@ class Replayed:
 def test_a_live_run_under_load_is_repeated_exactly_by_a_faster_machine(tmp_path: Path) -> None:
     dice = random.Random(3)
     flown = record(tmp_path / "f", Fuse(lambda: dice.choice((0.001, 0.015, 0.03))), live=True)
-    assert 10 < len(flown.seen) < 50, "some scans must be lost, or there is nothing to repeat"
+    assert 1 < len(flown.seen) < 50, "some scans must be lost, or there is nothing to repeat"
     sink = Collect()
     replayed = Replayed(tmp_path / "f", {"fuse": Fuse(), "sink": sink})
     assert sink.seen == flown.seen

@@ -1,4 +1,11 @@
-"""The profiler tells the truth: lines add up to the process, work is booked where it is done."""
+"""The profiler tells the truth: lines add up to the process, work is booked where it is done.
+
+A loop of fixed length takes another time on every turn of a loaded or virtual machine, so no two
+measured times are compared here. Whoever burns reads the clock of its thread around the work, and
+what the profiler has booked for it is held against that reading: never less, and not much more.
+What the process took beside is judged in halves of the work, as the process's clock may lag behind
+those of threads that run on other cores by some milliseconds.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +14,10 @@ import gc
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from time import process_time_ns
 from typing import Any
 
 import pytest
-from profiled_stages import burn
+from profiled_stages import burn, burn_ns
 
 from accelerators.registry import Registry
 from pipeline.drivers.run import run_graph
@@ -41,32 +47,36 @@ def profile(folder: Path, stages: dict[str, int], *, speed: float | None = 1.0) 
     return result.report
 
 
-def process_ms(report: Any, stage: str) -> float:
-    return float(report["stages"][stage]["steps"]["cpu"]["process"]["cpu_ms"]["mean"])
+def assert_booked_as_burnt(report: Any, stage: str) -> None:
+    """What was booked for a stage is what it has read itself, and the little around it."""
+    page = report["stages"][stage]
+    booked_ms = page["runs"] * page["steps"]["cpu"]["process"]["cpu_ms"]["mean"]
+    burnt_ms = page["statistics"]["burnt_ms"]
+    assert 0.99 * burnt_ms < booked_ms < 1.5 * burnt_ms  # 0.99: the report rounds
+    line_ms = report["cpu"]["of_stages_cores"][stage] * report["wall_s"] * 1e3
+    assert line_ms == pytest.approx(booked_ms, rel=0.02)
 
 
 @pytest.mark.slow
 @pytest.mark.realtime
 @pytest.mark.parametrize("speed", [1.0, None], ids=["live", "offline"])
 def test_the_lines_add_up_to_the_clock_of_the_process(tmp_path: Path, speed: float | None) -> None:
-    report = profile(tmp_path, {"one": LOOPS, "two": 2 * LOOPS}, speed=speed)
+    report = profile(tmp_path, {"one": 5 * LOOPS, "two": 10 * LOOPS}, speed=speed)
     cpu = report["cpu"]
     lines = [*cpu["of_stages_cores"].values(), *cpu["parts_cores"].values()]
     assert sum(lines) == pytest.approx(cpu["process_cores"], abs=1e-3)
     assert abs(cpu["parts_cores"]["unattributed"]) <= max(0.05 * cpu["process_cores"], 0.01)
     assert cpu["attributed"]
-    assert cpu["of_stages_cores"]["two"] > cpu["of_stages_cores"]["one"] > 0.01
 
 
 @pytest.mark.slow
 @pytest.mark.realtime
-def test_a_fixed_loop_costs_alone_what_it_costs_beside_others(tmp_path: Path) -> None:
+def test_a_stage_is_booked_what_it_took_alone_and_beside_others(tmp_path: Path) -> None:
     # The clocks of threads do not run while they wait; a wall clock would say three times as much.
-    alone = process_ms(profile(tmp_path, {"one": LOOPS}), "one")
+    assert_booked_as_burnt(profile(tmp_path, {"one": LOOPS}), "one")
     together = profile(tmp_path, {"one": LOOPS, "two": 2 * LOOPS, "four": 4 * LOOPS})
-    assert process_ms(together, "one") == pytest.approx(alone, rel=0.4)
-    assert process_ms(together, "two") == pytest.approx(2 * process_ms(together, "one"), rel=0.3)
-    assert process_ms(together, "four") == pytest.approx(4 * process_ms(together, "one"), rel=0.3)
+    for stage in ("one", "two", "four"):
+        assert_booked_as_burnt(together, stage)
 
 
 class Pool:
@@ -79,10 +89,12 @@ class Pool:
         _thread.start_new_thread(self._work, ())
         self.ask(1)
 
-    def ask(self, loops: int) -> None:
+    def ask(self, loops: int) -> int:
+        """Let it burn; what that took by its thread's clock, ns."""
         self._loops = loops
         self._asked.release()
         self._done.acquire()
+        return self._burnt_ns
 
     def close(self) -> None:
         self._over = True
@@ -90,7 +102,7 @@ class Pool:
 
     def _work(self) -> None:
         while self._asked.acquire() and not self._over:
-            burn(self._loops)
+            self._burnt_ns = burn_ns(self._loops)
             self._done.release()
 
 
@@ -115,18 +127,21 @@ def test_what_a_devices_pool_does_during_an_infer_is_that_infers(
             native = pool()
         profiler.start(["gpu"])
         before = profiler.read("gpu")
-        native.ask(20 * LOOPS)
+        burnt = native.ask(20 * LOOPS)
         inferred = profiler.since(before)
         profiler.book("net", Step.INFER, "gpu", inferred)
         before = profiler.read()
-        burn(LOOPS)
-        profiler.book("net", Step.FINISH, "gpu", profiler.since(before))
+        burnt_after = burn_ns(LOOPS)
+        finished = profiler.since(before)
+        profiler.book("net", Step.FINISH, "gpu", finished)
         cpu = profiler.stop(0)
-    assert inferred.own_ns < inferred.cpu_ns / 4  # the caller only waited
-    assert inferred.cpu_ns > 5 * profiler.costs["net"]["gpu", Step.FINISH].cpu_ns
-    assert cpu.stages["net"] >= inferred.cpu_ns
+    assert burnt <= inferred.cpu_ns - inferred.own_ns < 1.5 * burnt
+    assert inferred.own_ns < burnt / 2  # the caller only waited
+    assert burnt_after <= finished.cpu_ns == finished.own_ns < burnt_after + burnt / 2
+    assert profiler.costs["net"]["gpu", Step.FINISH].cpu_ns == finished.cpu_ns
+    assert cpu.stages["net"] >= inferred.cpu_ns + finished.cpu_ns
     assert not cpu.shared
-    assert abs(cpu.unattributed) < 0.05 * cpu.total
+    assert abs(cpu.unattributed) < burnt / 2  # neither lost nor counted twice
 
 
 def test_a_pool_that_two_devices_use_is_a_line_of_its_own(pool: Callable[[], Pool]) -> None:
@@ -137,13 +152,14 @@ def test_a_pool_that_two_devices_use_is_a_line_of_its_own(pool: Callable[[], Poo
             native.ask(LOOPS)
         profiler.start(["gpu", "cpu"])
         before = profiler.read("gpu")
-        native.ask(20 * LOOPS)
+        burnt = native.ask(20 * LOOPS)
         spent = profiler.since(before)
         profiler.book("net", Step.INFER, "gpu", spent)
         cpu = profiler.stop(0)
     assert list(cpu.shared) == ["threads of cpu and gpu"]
-    assert spent.cpu_ns == spent.own_ns < cpu.shared["threads of cpu and gpu"] / 4
-    assert abs(cpu.unattributed) < 0.05 * cpu.total
+    assert cpu.shared["threads of cpu and gpu"] >= burnt
+    assert spent.cpu_ns == spent.own_ns < burnt / 2
+    assert abs(cpu.unattributed) < burnt / 2
 
 
 def test_a_pool_that_works_between_infers_of_two_stages_is_split_by_none(
@@ -155,9 +171,10 @@ def test_a_pool_that_works_between_infers_of_two_stages_is_split_by_none(
         profiler.start(["gpu"])
         for stage in ("a", "b"):
             profiler.book(stage, Step.INFER, "gpu", profiler.since(profiler.read("gpu")))
-        native.ask(LOOPS)
+        burnt = native.ask(20 * LOOPS)
         cpu = profiler.stop(0)
-    assert cpu.shared["gpu between its runs"] > max(cpu.stages.values())
+    assert cpu.shared["gpu between its runs"] >= burnt
+    assert max(cpu.stages.values()) < burnt / 2
 
 
 def test_a_device_that_is_built_anew_during_the_run_keeps_what_it_took(
@@ -168,19 +185,20 @@ def test_a_device_that_is_built_anew_during_the_run_keeps_what_it_took(
             old = pool()
         profiler.start(["gpu"])
         before = profiler.read("gpu")
-        old.ask(10 * LOOPS)
+        burnt_first = old.ask(20 * LOOPS)
         first = profiler.since(before)
         profiler.book("net", Step.INFER, "gpu", first)
         with profiler.building("gpu"):
             new = pool()
         before = profiler.read("gpu")
-        new.ask(10 * LOOPS)
+        burnt_second = new.ask(20 * LOOPS)
         second = profiler.since(before)
         profiler.book("net", Step.INFER, "gpu", second)
         cpu = profiler.stop(0)
-    assert second.cpu_ns == pytest.approx(first.cpu_ns, rel=0.5)
-    assert cpu.stages["net"] == pytest.approx(first.cpu_ns + second.cpu_ns, rel=0.2)
-    assert abs(cpu.unattributed) < 0.05 * cpu.total
+    assert first.cpu_ns - first.own_ns >= burnt_first
+    assert second.cpu_ns - second.own_ns >= burnt_second
+    assert cpu.stages["net"] >= first.cpu_ns + second.cpu_ns
+    assert abs(cpu.unattributed) < burnt_first / 2
 
 
 def test_threads_that_a_stage_starts_when_it_opens_are_the_stages(
@@ -190,9 +208,10 @@ def test_threads_that_a_stage_starts_when_it_opens_are_the_stages(
         with profiler.building("map"):
             writer = pool()
         profiler.start([])
-        writer.ask(10 * LOOPS)
+        burnt = writer.ask(20 * LOOPS)
         cpu = profiler.stop(0)
-    assert cpu.stages["map"] > 0.5 * cpu.total
+    assert cpu.stages["map"] >= burnt
+    assert abs(cpu.unattributed) < burnt / 2
 
 
 def test_a_thread_that_nobody_owns_stays_unattributed_and_is_named(
@@ -201,10 +220,10 @@ def test_a_thread_that_nobody_owns_stays_unattributed_and_is_named(
     with Profiler() as profiler:
         profiler.start([])
         stranger = pool()
-        stranger.ask(10 * LOOPS)
+        burnt = stranger.ask(20 * LOOPS)
         cpu = profiler.stop(0)
-    assert cpu.unattributed > 0.5 * cpu.total
-    assert sum(cpu.strangers.values()) == pytest.approx(cpu.unattributed, rel=0.2)
+    assert cpu.unattributed > burnt / 2
+    assert sum(cpu.strangers.values()) >= burnt
 
 
 def test_collecting_garbage_within_a_step_is_not_the_steps() -> None:
@@ -217,7 +236,7 @@ def test_collecting_garbage_within_a_step_is_not_the_steps() -> None:
         gc.collect()
         profiler.book("litter", Step.PROCESS, None, profiler.since(before))
         cpu = profiler.stop(0)
-    assert cpu.collector > 5 * cpu.stages["litter"]
+    assert cpu.collector > cpu.stages["litter"] > 0
 
 
 def test_the_callback_of_the_collector_goes_with_the_profiler() -> None:
@@ -237,9 +256,11 @@ def test_what_shows_the_run_is_neither_a_stages_nor_the_drivers() -> None:
     with Profiler() as profiler:
         profiler.start([])
         with profiler.showing():
-            burn(10 * LOOPS)
+            burnt = burn_ns(20 * LOOPS)
         cpu = profiler.stop(0)
-    assert cpu.progress > 5 * cpu.drivers
+    assert cpu.progress >= burnt
+    assert cpu.drivers < burnt / 2
+    assert not cpu.stages
 
 
 def test_the_scheduler_is_never_said_to_take_more_than_there_is() -> None:
@@ -254,11 +275,11 @@ def test_what_a_thread_of_the_framework_took_before_the_run_is_none_of_it() -> N
     """The control and receiving threads of a part are there while it opens."""
     profiler = Profiler()
     ready, go = threading.Event(), threading.Event()
-    began_ns = process_time_ns()
+    burnt: list[int] = []
 
     def work() -> None:
         with profiler.thread("control"):
-            burn(100 * LOOPS)
+            burnt.append(burn_ns(20 * LOOPS))
             ready.set()
             go.wait()
 
@@ -266,29 +287,29 @@ def test_what_a_thread_of_the_framework_took_before_the_run_is_none_of_it() -> N
         thread = threading.Thread(target=work)
         thread.start()
         ready.wait()
-        before_ns = process_time_ns() - began_ns
         profiler.start(())
         go.set()
         thread.join()
         cpu = profiler.stop(0)
-    assert cpu.drivers < before_ns / 2
-    assert cpu.unattributed > -before_ns / 2
+    assert cpu.drivers < burnt[0] / 2
+    assert cpu.unattributed > -burnt[0] / 2
 
 
 def test_the_frameworks_threads_are_counted_after_they_have_ended() -> None:
     with Profiler() as profiler:
         profiler.start([])
+        burnt: list[int] = []
 
         def work() -> None:
             with profiler.thread("cpu-0"):
-                burn(10 * LOOPS)
+                burnt.append(burn_ns(20 * LOOPS))
 
         thread = threading.Thread(target=work)
         thread.start()
         thread.join()
         cpu = profiler.stop(0)
-    assert cpu.drivers > 0.8 * cpu.total
-    assert abs(cpu.unattributed) < 0.1 * cpu.total
+    assert cpu.drivers >= burnt[0]
+    assert abs(cpu.unattributed) < burnt[0] / 2
 
 
 def test_top_shows_the_names_of_the_frameworks_threads() -> None:
@@ -346,7 +367,7 @@ def test_an_isolated_device_infers_in_its_process_and_the_caller_transfers(
 def test_a_step_without_work_takes_wall_time_and_no_cpu() -> None:
     profiler = Profiler()
     before = profiler.read()
-    threading.Event().wait(0.01)
+    threading.Event().wait(0.05)
     spent = profiler.since(before)
-    assert spent.wall_ns >= 10_000_000
+    assert spent.wall_ns >= 50_000_000
     assert spent.cpu_ns < spent.wall_ns / 4

@@ -96,7 +96,8 @@ def test_one_run_says_what_each_stage_costs(overflight: Callable[..., Any], grap
     assert rows["detect_rgb"]["emulated"]
     assert not rows["seen"]["emulated"]
     assert rows["detect_rgb"]["devices"] == ["tpu"]
-    assert rows["detect_rgb"]["steps"]["tpu"]["infer"]["wall_ms"]["p50"] > 9
+    wall = rows["detect_rgb"]["steps"]["tpu"]["infer"]["wall_ms"]
+    assert wall["p50"] >= 10
     lines = [row["cpu_percent"] for row in page["stages"]] + list(page["rest_percent"].values())
     assert sum(lines) == pytest.approx(page["process_percent"], abs=0.1)
     assert {"scheduler", "drivers", "garbage collector", "unattributed"} <= set(
@@ -111,7 +112,7 @@ def test_one_run_says_what_each_stage_costs(overflight: Callable[..., Any], grap
     assert detect is not None
     infer = detect.time(Step.INFER)
     assert infer is not None
-    assert infer.p50 == pytest.approx(10, rel=0.5)
+    assert (infer.p50, infer.p99) == (wall["p50"], wall["p99"])
     assert detect.cpu(Step.PREPARE) > 0
     assert costs.of("seen", None) is not None
 
