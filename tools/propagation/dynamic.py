@@ -31,7 +31,6 @@ class RecentHits:
         self._counts = np.zeros(len(index.labels), dtype=np.int32)
         self._reach = reach
         self._window: deque[NDArray[np.int32]] = deque()
-        self._ahead = 0
 
     def enter(self, observation: Observation | None, said: Said | None) -> None:
         """The scan `reach` after the one that is labeled next comes into the window, or none."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,6 @@ from rich.console import Console
 
 from pipeline.drivers.run import run_graph
 from pipeline.errors import DataError, StageError
-from stages.observed import Observation, read_observation
 from stages.sinks.whole_file import whole_file
 from tools.load import open_graph
 from tools.watching.progress import Progress
@@ -118,11 +117,3 @@ def files_in(folder: Path) -> list[Path]:
             "scans and poses before it?"
         )
     return found
-
-
-def read_all(files: Sequence[Path], *, sound_only: bool = False) -> Iterator[Observation]:
-    """The observations, one at a time; `sound_only` without what was made degraded."""
-    for file in files:
-        observation = read_observation(file)
-        if not (sound_only and observation.degraded):
-            yield observation

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -144,8 +144,3 @@ def _spread(line: Line) -> str:
     if count == 0:
         return "-"
     return f"{count} seed" if count == 1 else f"{line.spread:.1f} ({count})"
-
-
-def paper_rows(entries: Mapping[str, Any]) -> dict[str, tuple[str, float | None]]:
-    """Titles and the paper's means by the row's key, out of `paper.yaml`."""
-    return {key: (str(row["title"]), row.get("mean")) for key, row in entries.items()}
