@@ -12,7 +12,10 @@ from pipeline.errors import DataError
 from pipeline.recording.codec import Schema
 from pipeline.recording.mcap import McapReader, McapWriter
 
-quick = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+quick = settings(
+    max_examples=150,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 
 
 @pytest.fixture(scope="module")

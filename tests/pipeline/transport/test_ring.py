@@ -239,7 +239,10 @@ def test_both_ends_leave_no_file_no_descriptor_and_no_mapping(tmp_path: Path) ->
     assert not list(tmp_path.iterdir())
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=60,
+)
 @given(steps=st.lists(st.tuples(st.sampled_from("wrd"), st.integers(0, 5)), max_size=60))
 def test_whatever_is_read_when_it_is_whole_or_gone(
     tmp_path: Path, steps: list[tuple[str, int]]
