@@ -23,7 +23,7 @@ from tools.bench.scheduler import FILE
 
 def measure(effort: Effort) -> list[Row]:
     """The rows."""
-    graph_s, rounds = effort.of(3, 1), effort.of(9, 2)
+    graph_s, rounds = effort.of(2, 1), effort.of(9, 2)
     catalog = Registry.open()
     graph = load_graph(FILE, catalog=catalog)
     entries: list[int] = []

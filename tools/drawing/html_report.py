@@ -14,6 +14,7 @@ from tools.profiling.profile_table import EMULATED, EMULATED_NOTE, both, name, n
 
 #: Stages of less are left out of the bars, which say so.
 LEAST_PERCENT = 0.05
+REST = "the rest of the process"
 
 STYLE = """
 :root { color-scheme: light; }
@@ -116,7 +117,8 @@ def _run(page: Mapping[str, Any], diagram: Diagram) -> list[str]:
         f'<div class="card">{svg(diagram, loads)}</div>',
         '<p class="dim">Percent of a core in each box; a full bar is one core.</p>',
         "<h2>Where the CPU goes</h2>",
-        f'<div class="card">{bar_plot(_bars(page), "CPU load, % of a core")}</div>',
+        f'<div class="card">{bar_plot(_bars(page), "CPU load, % of a core", (*PARTS, REST))}</div>',
+        f'<p class="dim">{_left_out(page)}</p>',
         "<h2>Age of the outputs</h2>",
         f'<div class="card">{bar_plot(_ages(ages), "ms from the oldest sensor sample")}</div>',
         "<h2>Stages</h2>",
@@ -139,10 +141,15 @@ def _bars(page: Mapping[str, Any]) -> list[tuple[str, dict[str, float]]]:
         }
         load = {part: ms * counts[part] / page["wall_s"] / 10 for part, ms in row["cpu_ms"].items()}
         rows.append((name(row), {part: load[part] for part in PARTS if part in load}))
-    for part, load in page["rest_percent"].items():
-        if load >= LEAST_PERCENT or part == "unattributed":
-            rows.append((part, {"the rest of the process": load}))
+    rows += [(part, {REST: load}) for part, load in page["rest_percent"].items()]
     return rows
+
+
+def _left_out(page: Mapping[str, Any]) -> str:
+    """The stages without a bar, in words."""
+    small = [name(row) for row in page["stages"] if row["cpu_percent"] < LEAST_PERCENT]
+    without = f" Below {LEAST_PERCENT:g} %: {', '.join(small)}." if small else ""
+    return escape(f"Bars of stages are split by the parts of a run.{without}")
 
 
 def _ages(stages: Sequence[Mapping[str, Any]]) -> list[tuple[str, dict[str, float]]]:

@@ -71,10 +71,17 @@ def line_plot(lines: Sequence[Line], x_label: str, y_label: str, note: str = "")
     return _picture(*whole, body, f"{y_label} over {x_label}")
 
 
-def bar_plot(rows: Sequence[tuple[str, Mapping[str, float]]], unit: str) -> str:
-    """One bar per row, stacked of parts that keep their colors; its sum is written behind it."""
-    parts = list(dict.fromkeys(part for _, row in rows for part in row))
-    colors = dict(zip(parts, COLORS * (1 + len(parts) // len(COLORS)), strict=False))
+def bar_plot(
+    rows: Sequence[tuple[str, Mapping[str, float]]], unit: str, order: Sequence[str] = ()
+) -> str:
+    """One bar per row, stacked of parts that keep their colors; its sum is written behind it.
+
+    `order`: parts that may occur, whose colors are the same in every plot that names them so.
+    """
+    found = dict.fromkeys(part for _, row in rows for part in row)
+    known = list(dict.fromkeys([*order, *found]))
+    colors = {part: COLORS[place % len(COLORS)] for place, part in enumerate(known)}
+    parts = [part for part in known if part in found]
     left = max((len(name) for name, _ in rows), default=0) * TEXT_PX * LETTER + 14
     width, bar, gap, top = 520.0, 16.0, 8.0, 34.0
     step, end = ticks(max((sum(row.values()) for _, row in rows), default=1.0))

@@ -82,10 +82,10 @@ def _stream(path: Path, page: Page, *, once: bool) -> None:
 
 
 def _live(path: Path, page: Page) -> None:
-    with Live(screen(page), screen=True, auto_refresh=False) as live:
+    with Live(screen=True, auto_refresh=False) as live:
         while (following := read_board(path)) is not None:
             page = following
-            live.update(screen(page), refresh=True)
+            live.update(fitted(page, live.console), refresh=True)
             time.sleep(PERIOD_S)
     Console().print(screen(page), Text("The run is over."))
 
@@ -107,8 +107,17 @@ def listed(pages: Sequence[Page]) -> RenderableType:
     return Group(table, Text("Say which: overflight top GRAPH or overflight top PROCESS"))
 
 
-def screen(page: Page) -> RenderableType:
-    """One run."""
+def fitted(page: Page, console: Console) -> RenderableType:
+    """One run; in brief where all of it is higher than the terminal, which would cut off the ages
+    of the last outputs and the devices."""
+    whole = screen(page)
+    if len(console.render_lines(whole, pad=False)) <= console.height:
+        return whole
+    return screen(page, brief=True)
+
+
+def screen(page: Page, *, brief: bool = False) -> RenderableType:
+    """One run. In brief: the sensors in a line, the ages of the last outputs alone."""
     head = Text.assemble(
         (page["graph"], "bold"), f"   process {page['pid']}   {page['state']} for {_for(page)}"
     )
@@ -118,18 +127,38 @@ def screen(page: Page) -> RenderableType:
     if speed != 1.0:
         head.append("   offline" if speed == "max" else f"   {speed:g} x real time")
     head.append(f"   CPU {_percent(page['cpu_cores'])} of a core")
-    parts: list[RenderableType] = [head, Text(), _stages(page), Text(), *_ages(page["outputs"])]
+    parts: list[RenderableType] = [head, Text()]
+    if brief:
+        parts.append(_sensors(page))
+    parts += [_stages(page, brief), Text(), *_ages(page, brief)]
     if page["devices"]:
-        parts += [_devices(page["devices"]), Text()]
+        parts += [_devices(page["devices"], brief), Text()]
     parts += [Text(failure, "red") for failure in page["failures"]]
     parts += [_event(event) for event in page["events"][-EVENTS_SHOWN:]]
     return Group(*parts)
 
 
-def _stages(page: Page) -> Table:
+def _is_sensor(stage: Page) -> bool:
+    return "queued" not in stage
+
+
+def _sensors(page: Page) -> Text:
+    """The rate of each of their ports."""
+    names = {name for name, stage in page["stages"].items() if _is_sensor(stage)}
+    rates = [
+        _rate(output, f"{_short(port)} ")
+        for port, output in page["outputs"].items()
+        if port.partition("/")[0] in names
+    ]
+    return Text("sensors, Hz: ").append(Text(", ").join(rates))
+
+
+def _stages(page: Page, brief: bool) -> Table:
     columns = ("output Hz", "runs Hz", "CPU %", "queue", "most", "waiting", "lost/s", "lost", "")
     table = _table("stage", *columns)
     for name, stage in page["stages"].items():
+        if brief and _is_sensor(stage):
+            continue
         outputs = {
             port.partition("/")[2]: output
             for port, output in page["outputs"].items()
@@ -142,7 +171,7 @@ def _stages(page: Page) -> Table:
         table.add_row(
             name,
             rates,
-            f"{stage['runs_hz']:.1f}" if "queued" in stage else "",
+            "" if _is_sensor(stage) else f"{stage['runs_hz']:.1f}",
             f"{100 * stage['cpu_cores']:.1f}",
             str(stage.get("queued", "")),
             str(stage.get("queued_peak", "")),
@@ -171,13 +200,20 @@ def _trouble(stage: Page) -> Text:
     return Text(", ".join(words), "red")
 
 
-def _ages(outputs: Mapping[str, Page]) -> list[RenderableType]:
-    """Per output of a stage, the age of each sensor's sample in it when it was published."""
+def _ages(page: Page, brief: bool) -> list[RenderableType]:
+    """Per output of a stage, the age of each sensor's sample in it when it was published; in brief
+    of those that no stage with an output reads."""
+    outputs = page["outputs"]
     made = {
         port: output["ages_ms"]
         for port, output in outputs.items()
         if output["ages_ms"].keys() - {port}
     }
+    if brief:
+        speaks = {port.partition("/")[0] for port in outputs}
+        edges = (edge.partition("->") for edge in page["edges"])
+        read = {port for port, _, entry in edges if entry.partition("/")[0] in speaks}
+        made = {port: ages for port, ages in made.items() if port not in read}
     streams = list(dict.fromkeys(stream for ages in made.values() for stream in ages))
     if not streams:
         return []
@@ -189,10 +225,13 @@ def _ages(outputs: Mapping[str, Page]) -> list[RenderableType]:
     return [table, Text()]
 
 
-def _devices(devices: Mapping[str, Page]) -> Table:
-    table = _table("device", "state", "busy %", "runs", "infers now", "stages")
-    table.columns[4].justify = table.columns[5].justify = "left"
-    table.columns[5].no_wrap = False
+def _devices(devices: Mapping[str, Page], brief: bool) -> Table:
+    """In brief without the stages that use them, which would take more lines."""
+    table = _table(
+        "device", "state", "busy %", "runs", "infers now", *([] if brief else ["stages"])
+    )
+    for column in table.columns[4:]:
+        column.justify, column.no_wrap = "left", column is table.columns[4]
     for name, device in devices.items():
         table.add_row(
             name,
@@ -200,7 +239,7 @@ def _devices(devices: Mapping[str, Page]) -> Table:
             f"{100 * device['busy_fraction']:.1f}",
             str(device["runs"]),
             device["inferring"] or "",
-            ", ".join(device["stages"]),
+            *([] if brief else [", ".join(device["stages"])]),
         )
     return table
 

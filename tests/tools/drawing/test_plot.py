@@ -65,3 +65,17 @@ def test_the_parts_of_a_bar_touch_and_add_up() -> None:
 def test_a_picture_without_anything_is_a_picture() -> None:
     drawn(line_plot([], "x", "y"))
     drawn(bar_plot([], "x"))
+
+
+def test_a_part_has_the_same_color_in_every_plot_that_names_its_parts_in_one_order() -> None:
+    def colors(row: dict[str, float]) -> dict[str, str]:
+        picture = drawn(bar_plot([("a", row)], "ms", order=("prepare", "infer", "finish")))
+        bars = [bar for bar in picture.iter(f"{SVG}rect") if bar.find(f"{SVG}title") is not None]
+        return {
+            (bar.findtext(f"{SVG}title") or "").partition(":")[0]: bar.get("fill", "")
+            for bar in bars
+        }
+
+    whole = colors({"finish": 1.0, "infer": 1.0, "prepare": 1.0})
+    assert len(set(whole.values())) == 3
+    assert colors({"finish": 1.0}) == {"finish": whole["finish"]}
