@@ -62,6 +62,7 @@ class Onnx:
             raise DeviceError(f"{path}: {probe.reason}")
         if not Path(path).is_file():
             raise ModelError(f"{path}: no such file")
+        runtime.set_default_logger_severity(4)  # as of the session, below; a reader's words
         options = runtime.SessionOptions()
         options.intra_op_num_threads = self.threads
         options.inter_op_num_threads = 1

@@ -116,10 +116,14 @@ class Registry:
             for variant in variants:
                 if variant.kind == kind:
                     return variant
+        kinds = [variant.kind for variant in variants]
+        way_out = "add such a file with 'overflight models add'"
+        if "onnx" in device.kinds and "tflite" in kinds:
+            way_out = f"make an .onnx with 'overflight models convert {name}' (see its --help)"
         raise ModelError(
             f"model '{name}' has no variant for {type(device).__name__}, which runs "
-            f"{' or '.join(device.kinds)}; it has {', '.join(v.kind for v in variants)}. "
-            "Name another device, or add such a file with 'overflight models add'"
+            f"{' or '.join(device.kinds)}; it has {', '.join(kinds)}. "
+            f"Name another device, or {way_out}"
         )
 
     def files(self, name: str, variant: VariantEntry) -> tuple[Path | None, Path | None]:

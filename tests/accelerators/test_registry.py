@@ -104,6 +104,14 @@ def test_a_device_takes_the_variant_it_runs_best(tmp_path: Path) -> None:
     )
 
 
+def test_a_model_with_an_8_bit_file_alone_can_be_converted(tmp_path: Path) -> None:
+    models = registry(tmp_path, "{kind: tflite, file: tiny.tflite}")
+    for device in (Onnx(), OpenVino()):
+        said = models.check("tiny", device)
+        assert said is not None
+        assert "make an .onnx with 'overflight models convert tiny'" in said
+
+
 def test_a_missing_file_is_named_with_where_it_was_looked_for(tmp_path: Path) -> None:
     models = registry(tmp_path, "{kind: tflite, file: gone.tflite}")
     said = models.check("tiny", TfliteCpu())

@@ -1,9 +1,10 @@
-"""Adds a model to a registry file, and leaves the file alone where anything is wrong."""
+"""Writes models into a registry file, and leaves the file alone where anything is wrong."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from accelerators.registry import Registry
 from accelerators.registry_file import read_registry
@@ -19,13 +20,27 @@ def add_model(
 
     Raises ModelError where the name is taken and `replace` is not set, or a file cannot be read.
     """
-    before = _text(registry)
     _refuse_shipped(name, replace=replace)
-    content = read_registry(registry, before)
+    content = read_registry(registry, _text(registry))
     written = entry_of(files, said, [registry.parent / root for root in content.roots])
-    after = with_entry(before, name, written.entry, registry, replace=replace)
-    _write_if_sound(registry, after, name)
+    write_entry(registry, name, written.entry, replace=replace)
     return written, name in content.models
+
+
+def write_entry(
+    registry: Path, name: str, entry: Mapping[str, Any], *, replace: bool, known: int = 0
+) -> None:
+    """Put the entry into the file, once it was read back and held against its model files.
+
+    The first `known` variants are of another registry, whose files may lie elsewhere or nowhere.
+    Raises ModelError.
+    """
+    after = with_entry(_text(registry), name, entry, registry, replace=replace)
+    content = read_registry(registry, after)
+    models = Registry.of(content, registry.parent)
+    for variant in content.models[name].variants[known:]:
+        models.check_variant(name, variant)
+    _write(registry, after)
 
 
 def _refuse_shipped(name: str, *, replace: bool) -> None:
@@ -43,12 +58,8 @@ def _text(registry: Path) -> str:
         raise ModelError(f"{registry}: cannot be read ({error})") from None
 
 
-def _write_if_sound(registry: Path, text: str, name: str) -> None:
-    """Write the file as a whole, once the new entry was read back and held against its files."""
-    content = read_registry(registry, text)
-    models = Registry.of(content, registry.parent)
-    for variant in content.models[name].variants:
-        models.check_variant(name, variant)
+def _write(registry: Path, text: str) -> None:
+    """Write the file as a whole."""
     try:
         registry.parent.mkdir(parents=True, exist_ok=True)
         beside = registry.with_name(registry.name + ".new")

@@ -249,6 +249,41 @@ def _ask_head(file: Path, *, quiet: bool) -> str:
 
 
 @app.command(
+    epilog="Example: overflight models convert segment-rgb-cityscapes. Then: overflight run "
+    "graphs/drive.yaml --models models.yaml --set stages.segment_rgb.executor=onnx"
+)
+def convert(
+    name: Annotated[
+        str,
+        typer.Argument(metavar="NAME", help="A model with a .tflite file.", show_default=False),
+    ],
+    registry: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE",
+            help="The registry file that gets the model's entry, with the new file beside it.",
+        ),
+    ] = Path("models.yaml"),
+    models: ModelFiles = None,
+) -> None:
+    """Make a 32-bit .onnx of a model's 8-bit .tflite, for OpenVINO and ONNX Runtime.
+
+    Needs tf2onnx: pip install 'overflight[convert]', 1.6 GB. Running the file needs nothing of it.
+    """
+    from rich.console import Console
+
+    from tools.models.convert import convert_model
+
+    with Console(stderr=True).status(f"converting {name}, half a minute"):
+        made = convert_model(name, registry, models or ())
+    typer.echo(f"{registry}: {name} has {made.file.name} now, for OpenVINO and ONNX Runtime")
+    told = ", ".join(f"{output} {100 * part:.1f} %" for output, part in made.differences.items())
+    if told:
+        typer.echo(f"Of what an output varies by, it differs from the .tflite by: {told}")
+    typer.echo("Before flying it, hold it against the .tflite: overflight compare GRAPH --b ...")
+
+
+@app.command(
     name="check-edgetpu",
     epilog="Example: overflight models check-edgetpu net.tflite (needs no Edge TPU, no compiler)",
 )

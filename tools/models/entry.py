@@ -184,12 +184,12 @@ def _variant(
     assumed: list[str],
 ) -> dict[str, Any]:
     variant: dict[str, Any] = {"kind": interface.kind}
-    variant |= {"file": _from_nearest(file, folders), "sha256": _sum(file)}
+    variant |= {"file": from_nearest(file, folders), "sha256": sha256_of(file)}
     if interface.kind == "openvino":
         weights = file.with_suffix(".bin")
         if not weights.is_file():
             raise ModelError(f"{weights}: no such file; it holds the weights of {file.name}")
-        variant |= {"weights": _from_nearest(weights, folders), "weights_sha256": _sum(weights)}
+        variant |= {"weights": from_nearest(weights, folders), "weights_sha256": sha256_of(weights)}
     if nchw:
         variant["layout"] = "nchw"
     mean, std = list(said.mean), list(said.std)
@@ -278,11 +278,12 @@ def _share_quantization(variants: Sequence[dict[str, Any]], assumed: list[str]) 
                 assumed.append(f"'{ours}' of {file} is not quantized, though it is 8-bit")
 
 
-def _from_nearest(file: Path, folders: Sequence[Path]) -> str:
+def from_nearest(file: Path, folders: Sequence[Path]) -> str:
     """The file as seen from the folder with the shortest way to it."""
     ways = (os.path.relpath(file.resolve(), folder.resolve()) for folder in folders)
     return min(ways, key=lambda way: (way.count("../"), len(way)))
 
 
-def _sum(file: Path) -> str:
+def sha256_of(file: Path) -> str:
+    """The sum of a file, as the registry has it."""
     return hashlib.sha256(file.read_bytes()).hexdigest()

@@ -158,7 +158,6 @@ def test_public_networks_on_a_real_drive_agree_as_far_as_their_number_formats_do
 ) -> None:
     common = [
         f"parameters.recording={shared / 'data' / 'kitti_drive_full6'}",
-        "devices.ort={use: 'accelerators.onnx:Onnx'}",
         "stages.detect_rgb.model=detect-rgb-fastestdet",
         "stages.segment_rgb.options.tiles=[]",
     ]
@@ -177,7 +176,7 @@ def test_public_networks_on_a_real_drive_agree_as_far_as_their_number_formats_do
         assert page["agreement"]["fuse_cloud/out"]["same_label"] > 0.98
         return page["agreement"]["detect_rgb/out"]
 
-    same = boxes("ov", "ort")  # the same f32 file
+    same = boxes("ov", "onnx")  # the same f32 file
     assert same["count_a"] == same["count_b"] == same["matched"] > 5
     assert same["mean_iou"] > 0.999
     assert same["largest_score_difference"] < 0.001
