@@ -33,10 +33,11 @@ def check_file(spec: ModelSpec, variant: VariantEntry, path: Path) -> None:
     """
     if variant.kind not in KINDS:
         return
-    cuts = [one.tensor for one in variant.outputs.values() if one.tensor is not None]
-    interface = read_interface(path, cuts)
+    interface = read_interface(path)
     if interface.kind != variant.kind:
         raise ModelError(f"model '{spec.name}': {path} {_OTHER_KIND[interface.kind]}")
+    if cuts := [one.tensor for one in variant.outputs.values() if one.tensor is not None]:
+        interface = read_interface(path, cuts)
     free = {key: one for key, one in interface.inputs.items() if key not in variant.constants}
     file_input(spec, input_form(spec, variant), free)
     output_forms(spec.name, variant, interface.outputs)

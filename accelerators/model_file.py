@@ -60,6 +60,9 @@ def find_tensor(path: Path, name: str) -> tuple[int, TensorSpec] | None:
 
 def _tflite(content: bytes, tensors: Sequence[int]) -> Interface:
     graph = read_graph(content)
+    for number in tensors:
+        if number >= len(graph.tensors):
+            raise ValueError(f"it has {len(graph.tensors)} tensors, and none of number {number}")
     outputs = [graph.tensors[number] for number in tensors or graph.outputs]
     return Interface(
         "edgetpu" if compiled_for_edgetpu(content) else "tflite",

@@ -203,6 +203,20 @@ def test_a_file_of_another_kind_than_its_entry_is_refused_with_its_own_kind(tmp_
     )
 
 
+def test_a_cut_that_the_file_does_not_have_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "tiny.tflite"
+    write_tflite(path)
+    cut = "{kind: tflite, file: tiny.tflite, outputs: {y: {tensor: 210, name: y9}}}"
+    said = registry(tmp_path, cut).check("tiny", TfliteCpu())
+    assert said is not None
+    assert said.startswith(f"{path}: ")
+    assert "it has 2 tensors, and none of number 210" in said
+    write_tflite(path, compiled=1)  # of another kind: that is what is wrong with it
+    said = registry(tmp_path, cut).check("tiny", TfliteCpu())
+    assert said is not None
+    assert "is compiled for the Edge TPU and runs nowhere else" in said
+
+
 def test_a_compiled_file_under_a_cpu_is_refused_with_the_way_out(
     tmp_path: Path, shared: Path
 ) -> None:
