@@ -61,6 +61,11 @@ class Rhythm:
         """Twice the way back to the last instant that the frame before was said to be for."""
         return 2 * (self.stamps[-1] - self.stamps[-2]) - self._period_before
 
+    @property
+    def wobble(self) -> int:
+        """The greatest difference of a gap from the period."""
+        return max(abs(after - before - self.period) for before, after in pairwise(self.stamps))
+
     def holds(self, stamp: int) -> bool:
         """Whether what is predicted still says something at this stamp."""
         return self.regular and stamp <= self.stamps[-1] + HOLDS * self.period
@@ -75,6 +80,24 @@ class Rhythm:
 
 
 @dataclass(frozen=True, slots=True)
+class Need:
+    """A nearest slot without which a set is skipped, and the source of its messages."""
+
+    root: Rhythm
+    tolerance: int
+    offset: int
+
+    def unmet(self, instant: int) -> bool:
+        """Whether no message is foreseen in reach of a trigger at this stamp."""
+        root, at = self.root, instant - self.offset
+        if not root.holds(at) or at < root.stamps[-min(GAPS, len(root.stamps))]:
+            return False
+        # Once for the last stamp, which may have come late, and once for the next.
+        reach = self.tolerance + 2 * root.wobble
+        return all(abs(stamp - at) > reach for stamp in root.instants(at))
+
+
+@dataclass(frozen=True, slots=True)
 class MustWish:
     """A settled input downstream chooses for each stamp of another stream, the wish's root."""
 
@@ -82,6 +105,11 @@ class MustWish:
     sync: Sync
     tolerance: int
     offset: int
+    needs: tuple[Need, ...] = ()  #: of the stage that the input is one of
+
+    def void(self, instant: int) -> bool:
+        """Whether the set of an instant will be skipped, so that nobody uses what it chooses."""
+        return any(need.unmet(instant) for need in self.needs)
 
     def meets(self, stamp: int, gap: int, period: int) -> bool:
         """Whether the input would choose a frame at `stamp`, `gap` after the one before it."""
@@ -89,12 +117,12 @@ class MustWish:
         for instant in self.root.instants(frame):
             ahead = instant - frame
             if self.sync is Sync.NEAREST:
-                if abs(ahead) <= self.tolerance and -gap < 2 * ahead <= period:
-                    return True
+                chosen = abs(ahead) <= self.tolerance and -gap < 2 * ahead <= period
             elif self.sync is Sync.LATEST:
-                if 0 <= ahead < period:
-                    return True
-            elif ahead == 0:
+                chosen = 0 <= ahead < period
+            else:
+                chosen = ahead == 0
+            if chosen and not self.void(instant):
                 return True
         return False
 

@@ -14,8 +14,8 @@ from pipeline.scheduling.events import Reason
 from pipeline.scheduling.queue import TriggerQueue
 from pipeline.scheduling.stages import SelectGroup, StageState
 from pipeline.scheduling.sync import Slot, Synchronizer
-from pipeline.scheduling.topology import Policy, Port, Role, StageNode, Sync, Topology
-from pipeline.scheduling.wanted import MustWish, Rhythm, Wishes
+from pipeline.scheduling.topology import Missing, Policy, Port, Role, StageNode, Sync, Topology
+from pipeline.scheduling.wanted import MustWish, Need, Rhythm, Wishes
 
 #: Told of a message that ends unused on an edge.
 OnDrop = Callable[[Edge, Message[Any], Reason], None]
@@ -132,6 +132,21 @@ def _wish(stages: list[StageState]) -> None:
             stage = by_name[port.port.stage]
         return port
 
+    def needs(stage: StageState) -> tuple[Need, ...]:
+        """The nearest slots without which a set of the stage is skipped.
+
+        What another process sends may be a choice already, and says nothing of what may come.
+        """
+        found = []
+        for edge in stage.synced_edges:
+            rule, above = edge.input, by_name[edge.origin.port.stage]
+            port = edge.origin if above.producer is None else root(above)
+            remote = by_name[port.port.stage].node.role is Role.REMOTE
+            if rule.sync is Sync.NEAREST and rule.missing is Missing.SKIP and not remote:
+                port.rhythm = port.rhythm or Rhythm()
+                found.append(Need(port.rhythm, rule.tolerance, rule.offset))
+        return tuple(found)
+
     def collect(stage: StageState, wishes: Wishes) -> None:
         """Add what the inputs downstream of a stage wish of it."""
         for edge in [edge for port in stage.ports for edge in port.edges]:
@@ -144,7 +159,8 @@ def _wish(stages: list[StageState]) -> None:
                 wishes.may = True
             else:
                 origin.rhythm = origin.rhythm or Rhythm()
-                wish = MustWish(origin.rhythm, rule.sync, rule.tolerance, rule.offset)
+                needed = needs(edge.target)
+                wish = MustWish(origin.rhythm, rule.sync, rule.tolerance, rule.offset, needed)
                 if wish not in wishes.musts:
                     wishes.musts.append(wish)
 

@@ -14,7 +14,7 @@ from reference_devices import Devices
 from reference_streams import Edge, Item
 
 from pipeline.scheduling.events import Reason
-from pipeline.scheduling.topology import Input, Port, StageNode, Sync
+from pipeline.scheduling.topology import Missing, Port, Role, StageNode, Sync
 
 MISSED = Reason.REPLACED, Reason.TOO_OLD, Reason.DECIMATED
 
@@ -22,7 +22,7 @@ MISSED = Reason.REPLACED, Reason.TOO_OLD, Reason.DECIMATED
 class Wish(NamedTuple):
     kind: str  #: "must"; "all": every frame is a must; "may": any frame will do
     root: Port | None = None
-    input: Input | None = None
+    edge: Edge | None = None  #: to the input that chooses
 
 
 @dataclass
@@ -70,7 +70,7 @@ class Wanted(Devices):
             elif sync is Sync.TRIGGER and edge.node.wanted:
                 yield from self._wishes(edge.node)
             elif sync is not Sync.TRIGGER and other:
-                yield Wish("must", self._root(edge.node), edge.input)
+                yield Wish("must", self._root(edge.node), edge)
             else:
                 yield Wish("may")
 
@@ -84,15 +84,32 @@ class Wanted(Devices):
 
     def _meets(self, wish: Wish, f: int, gap: int, p: int) -> bool:
         """Whether the frame `f` is a must by this wish alone."""
-        if wish.root is None or wish.input is None:
+        if wish.root is None or wish.edge is None:
             return wish.kind == "all"
-        e, tolerance = f + wish.input.offset, wish.input.tolerance
+        rule = wish.edge.input
+        e, tolerance = f + rule.offset, rule.tolerance
         instants = Rhythm(self.outlets[wish.root].stamps).instants(e + p + tolerance)
-        if wish.input.sync is Sync.EXACT:
-            return e in instants
-        if wish.input.sync is Sync.LATEST:
-            return any(e <= T < e + p for T in instants)
-        return any(abs(e - T) <= tolerance and -gap < 2 * (T - e) <= p for T in instants)
+        if rule.sync is Sync.EXACT:
+            met = [T for T in instants if e == T]
+        elif rule.sync is Sync.LATEST:
+            met = [T for T in instants if e <= T < e + p]
+        else:
+            met = [T for T in instants if abs(e - T) <= tolerance and -gap < 2 * (T - e) <= p]
+        slots = [edge for edge in self.edges if edge.node is wish.edge.node]
+        return any(not any(self._nothing_in_reach(slot, T) for slot in slots) for T in met)
+
+    def _nothing_in_reach(self, slot: Edge, T: int) -> bool:
+        """Whether the slot makes the instant void."""
+        rule, above = slot.input, self.node[slot.source.stage]
+        if rule.sync is not Sync.NEAREST or rule.missing is not Missing.SKIP:
+            return False
+        port = slot.source if above.is_source else self._root(above)
+        own = Rhythm([stamp + rule.offset for stamp in self.outlets[port].stamps])
+        if self.node[port.stage].role is Role.REMOTE or not own.reaches(T):
+            return False
+        reach = rule.tolerance + 2 * max(abs(gap - own.period) for gap in own.gaps)
+        near = [s for s in own.instants(T + reach) if abs(s - T) <= reach]
+        return own.stamps[-8:][0] <= T and not near
 
     def _judge(self, node: StageNode, item: Item) -> str:
         own, wishes = self._rhythm(node), list(self._wishes(node))

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.scheduling.topology import Sync
-from pipeline.scheduling.wanted import AHEAD, MustWish, Rhythm, Verdict, Wishes
+from pipeline.scheduling.wanted import AHEAD, MustWish, Need, Rhythm, Verdict, Wishes
 
 
 def rhythm(*stamps: int, arrives: int = 0) -> Rhythm:
@@ -126,6 +126,28 @@ def test_a_frame_that_nobody_must_have_is_run_only_for_somebody_who_takes_any() 
     assert Wishes([wish]).verdict(frames) is Verdict.NO
     assert Wishes([wish], may=True).verdict(frames) is Verdict.MAY
     assert Wishes([wish], all=True).verdict(frames) is Verdict.MUST
+
+
+def test_a_set_that_will_be_skipped_wants_no_frame() -> None:
+    thermal = Need(even(110), tolerance=50, offset=0)  # 0, 110 ... 880, 990, 1100, 1210
+    # Within 50 of one that came or will; between two; before all that is known of; too far ahead.
+    for instant, unmet in ((930, False), (931, True), (939, True), (940, False)):
+        assert thermal.unmet(instant) is unmet
+    assert thermal.unmet(880 + 55)
+    assert not thermal.unmet(50 + 1)  # the last eight begin at 110
+    assert not thermal.unmet(880 + 330 + 55)
+    wish = MustWish(even(935), Sync.NEAREST, 50, 0, (thermal,))
+    assert not wish.meets(935, 10, 10)
+    assert wish.meets(1870, 10, 10)  # of which nothing is foreseen
+
+
+def test_a_stream_that_wobbles_is_taken_to_reach_farther() -> None:
+    stamps = [0, 112, 220, 330, 440, 550, 660, 770, 880]  # gaps of 108 to 112
+    assert not Need(rhythm(*stamps), 50, 0).unmet(931 + 3)
+    assert Need(rhythm(*stamps), 50, 0).unmet(931 + 4)
+    assert Need(rhythm(*stamps), 50, 7).unmet(931 + 4 + 7)
+    lost = [stamp for stamp in stamps if stamp != 440]  # one gap is twice as long
+    assert not any(Need(rhythm(*lost), 50, 0).unmet(instant) for instant in range(220, 1210))
 
 
 @given(period=st.integers(20, 200), phase=st.integers(0, 200), arrives=st.integers(0, 50))

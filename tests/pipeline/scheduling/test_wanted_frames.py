@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from hypothesis import assume, given
@@ -13,7 +14,7 @@ from virtual_time import Scheduling, Trace, drive
 
 from pipeline.scheduling.topology import Input, Missing, Policy, Port, StageNode, Sync, Topology
 
-IMAGE, SCAN, SCORES = Port("camera"), Port("lidar"), Port("net")
+IMAGE, SCAN, SCORES, THERMAL = Port("camera"), Port("lidar"), Port("net"), Port("thermal")
 
 
 def network(**rules: Any) -> StageNode:
@@ -101,6 +102,50 @@ def test_of_even_streams_a_settled_nearest_is_the_same_as_when_every_frame_is_ru
     )
     assert got == expected
     assert set(runs(wanted)) <= set(runs(every)) == {image.stamp for image in images}
+
+
+@every_scheduler
+@examples(60)
+@given(
+    thermal=st.integers(20, 90),
+    lidar=st.integers(20, 90),
+    phase=st.integers(0, 90),
+    late=st.lists(st.integers(0, 4), min_size=1, max_size=5),
+    tolerance=st.integers(2, 40),
+    offline=st.booleans(),
+)
+def test_of_even_streams_frames_of_sets_that_are_skipped_are_all_that_is_left_out(
+    scheduler: type[Scheduling],
+    thermal: int,
+    lidar: int,
+    phase: int,
+    late: list[int],
+    tolerance: int,
+    offline: bool,
+) -> None:
+    """The fusion needs a thermal image near each scan; where there is none, no image is run."""
+    images = stream(IMAGE, range(0, 1200, 20), late)
+    scans = stream(SCAN, range(phase, 1200, lidar), late[::-1])
+    warm = stream(THERMAL, range(0, 1200, thermal), late)
+    needed = Input("warm", (THERMAL,), sync=Sync.NEAREST, tolerance=tolerance, max_wait=10_000)
+    fuse = fusion()
+    fuse = replace(fuse, inputs=(*fuse.inputs, needed))
+    swift = Behavior((1,), (2,), (1,))
+    every, wanted = (
+        play(
+            scheduler,
+            [StageNode("thermal"), network(wanted=on), fuse],
+            *(images, scans, warm),
+            offline=offline,
+            net=swift,
+        )
+        for on in (False, True)
+    )
+    whole = [stamp for stamp in chosen(every) if stamp < 1200 - 2 * max(thermal, 20)]
+    assert [chosen(wanted).get(stamp) for stamp in whole] == [chosen(every)[s] for s in whole]
+    fused = {scores for scores, _ in chosen(every).values()}
+    known = range(10 * max(thermal, lidar), max(whole, default=0))
+    assert {frame for frame in runs(wanted) if frame in known} <= fused
 
 
 @every_scheduler
