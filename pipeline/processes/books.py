@@ -54,6 +54,10 @@ def merged_ledger(
                 if origin in books:
                     sender = senders[port, target]
                     sent = _sum(books[origin], f"{port}->{sender}/message")
+                if sent is None:  # on another host: what this end of the link noticed
+                    noticed = _noticed(books[target], str(port))
+                    read.produced += noticed
+                    read.dropped[str(Reason.LOST_IN_TRANSPORT)] += noticed
                 missed = _missed(books.get(origin), books.get(target), str(port))
                 ledger[edge] = _across(sent, read, missed, reads_here=target in books)
     return ledger
@@ -97,10 +101,15 @@ def _missed(origin: Books | None, target: Books | None, port: str) -> int | None
         if process is None or process.past or not process.report:
             return None
     assert target is not None
-    assert target.report is not None
-    end = target.report["links"]["in"][port]
+    return _noticed(target, port)
+
+
+def _noticed(target: Books, port: str) -> int:
+    """Messages that the last life of a reader missed or refused, once it has reported."""
+    if not target.report:
+        return 0
     refused = target.report["refused"].get(port, {})
-    return int(end["lost"]) + sum(map(int, refused.values()))
+    return int(target.report["links"]["in"][port]["lost"]) + sum(map(int, refused.values()))
 
 
 def _across(

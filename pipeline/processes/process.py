@@ -78,10 +78,10 @@ class PartProcess:
         if self.state is None:
             return None
         try:
-            mailbox = self._child.mailbox() if self._child.alive else None
+            alive, mailbox = self._child.alive, self._child.last_mailbox
             if mailbox is not None and self._asked is not None and mailbox.readable():
                 self._heard(*mailbox.receive())
-            if mailbox is not None and self._asked is None and self._calls:
+            if alive and mailbox is not None and self._asked is None and self._calls:
                 header = self._calls.popleft()
                 self._asked, self._silent_s = str(header["call"]), 0.0
                 mailbox.send(header)

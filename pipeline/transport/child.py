@@ -63,6 +63,11 @@ class Child:
         """Its process id; None while there is none."""
         return None if self._process is None else self._process.pid
 
+    @property
+    def last_mailbox(self) -> Mailbox | None:
+        """The mailbox to the process as it is, running or ended: its last words may be in it."""
+        return self._mailbox
+
     def mailbox(self) -> Mailbox:
         """The mailbox to the running process, started (anew) if the rules allow.
 

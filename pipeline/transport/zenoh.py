@@ -21,7 +21,8 @@ from typing import Any, Self
 import zenoh
 
 from pipeline.errors import TransportError
-from pipeline.transport.channel import Arrival, Channel, TransportStatistics
+from pipeline.transport.channel import Arrival, Channel, Send, TransportStatistics
+from pipeline.transport.courier import Courier
 from pipeline.transport.envelope import Envelope
 from pipeline.transport.inlet import Inlet
 from pipeline.transport.outlet import REPEAT_S, Outlet
@@ -88,6 +89,7 @@ class Link:
         self._inlets: dict[str, Inlet] = {}
         self._publishers: list[zenoh.Publisher] = []
         self._subscribers: list[zenoh.Subscriber[Any]] = []
+        self._couriers: list[Courier] = []
         self._threads: list[threading.Thread] = []
         self._over = threading.Event()
         self._session = open_session(options)
@@ -104,7 +106,11 @@ class Link:
                 reliability=zenoh.Reliability.RELIABLE,
             ),
         )
-        outlet = Outlet(channel, partial(_put, publisher), run=self._run, epoch=self._epoch)
+        send: Send = partial(_put, publisher)
+        if _by_courier(channel):
+            self._couriers.append(Courier(f"to-{channel.port}", send))
+            send = self._couriers[-1].send
+        outlet = Outlet(channel, send, run=self._run, epoch=self._epoch)
         self._publishers.append(publisher)
         self._outlets[channel.key] = outlet
 
@@ -152,6 +158,8 @@ class Link:
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
         for thread in self._threads:
             thread.join()
+        for courier in self._couriers:
+            courier.close()
         for outlet in self._outlets.values():
             outlet.close()
         for inlet in self._inlets.values():
@@ -207,8 +215,17 @@ def _put(publisher: zenoh.Publisher, head: bytes, body: bytes) -> None:
         raise TransportError(f"nothing can be published any more: {error}") from None
 
 
+def _by_courier(channel: Channel) -> bool:
+    """Whether a channel may wait for its link on a thread of its own.
+
+    Zenoh would give up a large message after 50 ms, and hold up the publisher that long.
+    """
+    return not channel.local and not channel.block
+
+
 def _congestion(channel: Channel) -> zenoh.CongestionControl:
-    return zenoh.CongestionControl.BLOCK if channel.block else zenoh.CongestionControl.DROP
+    waits = channel.block or _by_courier(channel)
+    return zenoh.CongestionControl.BLOCK if waits else zenoh.CongestionControl.DROP
 
 
 def _config(options: LinkOptions) -> zenoh.Config:

@@ -86,3 +86,12 @@ def test_of_an_edge_to_another_host_each_end_knows_its_own_book() -> None:
     assert merged_ledger(TOPOLOGY, APART, [one])[EDGE] == book(10, 9, decimated=1)
     two = Process("two", read(book(8, 8)))
     assert merged_ledger(TOPOLOGY, APART, [two])[EDGE] == book(8, 8)
+
+
+def test_of_a_port_on_another_host_the_readers_end_tells_what_was_lost() -> None:
+    two = Process("two", read(book(39, 36, replaced=3), lost=111, backward=1))
+    assert merged(two) == book(151, 36, lost_in_transport=112, replaced=3)
+
+
+def test_while_it_runs_nothing_is_known_of_another_hosts_losses() -> None:
+    assert merged(Process("two", page={"edges": {EDGE: book(5, 4, 1)}})) == book(5, 4, 1)

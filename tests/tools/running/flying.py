@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,15 +55,18 @@ class Pair(Stage):
 class Run:
     """`overflight run apart.yaml` in the background, watched in a folder of this run alone.
 
-    The graph in `folder` may name the stages of the module ``apart_stages``.
+    The graph in `folder` may name the stages of the module ``apart_stages``. `before` are words
+    before the command.
     """
 
-    def __init__(self, folder: Path, *words: str, watched: str = "") -> None:
+    def __init__(
+        self, folder: Path, *words: str, watched: str = "", before: Sequence[str] = ()
+    ) -> None:
         self._folder = folder / watched
         self._folder.mkdir(exist_ok=True)
         self._report = self._folder / "report.json"
         (folder / "apart_stages.py").write_text(STAGES)
-        command = [sys.executable, "-m", "tools.main", "run", "apart.yaml"]
+        command = [*before, sys.executable, "-m", "tools.main", "run", "apart.yaml"]
         self.process = subprocess.Popen(
             [*command, "--report", str(self._report), *words],
             cwd=folder,

@@ -1,15 +1,16 @@
-"""Two hosts on loopback addresses: one joins late, dies, and comes back."""
+"""Two hosts, on loopback addresses and in network namespaces: one joins late, dies, comes back."""
 
 from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from flying import Run
+from namespaces import ENDPOINT, Namespaces, NotAllowed
 
 from pipeline.transport.zenoh import free_endpoint
 
@@ -25,37 +26,57 @@ stages:
   seen:
     use: stages.sinks.count:Count
     process: station
-    inputs: {{message: {{from: camera, rate_hz: 10, compress: zstd}}}}
+    inputs: {{message: {{from: camera, rate_hz: 10, compress: {compress}}}}}
 """
+
+#: Starts the part of a host.
+Start = Callable[[str], Run]
+
+
+def starter(folder: Path, runs: list[Run], endpoint: str, compress: str, *before: Any) -> Start:
+    (folder / "apart.yaml").write_text(GRAPH.format(endpoint=endpoint, compress=compress))
+    prefix = dict(zip(("drone", "ground"), before, strict=False))
+
+    def start(host: str) -> Run:
+        runs.append(Run(folder, "--host", host, watched=host, before=prefix.get(host, ())))
+        return runs[-1]
+
+    return start
 
 
 @pytest.fixture
-def hosts(tmp_path: Path) -> Iterator[list[Run]]:
-    (tmp_path / "apart.yaml").write_text(GRAPH.format(endpoint=free_endpoint()))
-    runs: list[Run] = []
-    yield runs
-    for run in runs:
+def runs() -> Iterator[list[Run]]:
+    started: list[Run] = []
+    yield started
+    for run in started:
         run.close()
 
 
-def sees(page: dict[str, Any]) -> bool:
-    return bool(page["edges"].get("camera/out->seen/message", {}).get("delivered", 0) >= 5)
+@pytest.fixture
+def namespaces() -> Iterator[Namespaces]:
+    try:
+        with Namespaces() as made:
+            yield made
+    except NotAllowed as why:
+        pytest.skip(f"no network namespaces: {why}")
 
 
-def test_a_ground_station_joins_late_dies_and_comes_back_while_the_drone_flies_on(
-    hosts: list[Run], tmp_path: Path
-) -> None:
-    drone = Run(tmp_path, "--host", "drone", watched="drone")
-    hosts.append(drone)
+def sees(page: dict[str, Any], least: int = 5) -> bool:
+    return bool(page["edges"].get("camera/out->seen/message", {}).get("delivered", 0) >= least)
+
+
+def balances(book: dict[str, Any]) -> bool:
+    ended = book["delivered"] + sum(book["dropped"].values())
+    return bool(book["produced"] == ended + book.get("in_flight", 0))
+
+
+def assert_a_ground_station_comes_and_goes(start: Start) -> None:
+    drone = start("drone")
     drone.until(lambda page: bool(page["outputs"]["camera/out"]["count"] >= 5))
     for ending in (signal.SIGKILL, signal.SIGINT):
-        ground = Run(tmp_path, "--host", "ground", watched="ground")
-        hosts.append(ground)
+        ground = start("ground")
         page = ground.until(sees)
-        book = page["edges"]["camera/out->seen/message"]
-        assert book["produced"] == book["delivered"] + book["in_flight"] + sum(
-            book["dropped"].values()
-        )
+        assert balances(page["edges"]["camera/out->seen/message"])
         os.kill(ground.process.pid, ending)
         ground.process.communicate(timeout=30)
     os.kill(drone.process.pid, signal.SIGINT)
@@ -63,5 +84,45 @@ def test_a_ground_station_joins_late_dies_and_comes_back_while_the_drone_flies_o
     assert report["ledger_balanced"]
     camera = report["outputs"]["camera/out"]
     assert camera["longest_gap_ms"] < 2_000  # nothing of it held the drone back (generous)
-    sent = report["edges"]["camera/out->seen/message"]
-    assert sent["produced"] == sent["delivered"] + sum(sent["dropped"].values())
+    assert balances(report["edges"]["camera/out->seen/message"])
+
+
+def test_a_ground_station_joins_late_dies_and_comes_back_while_the_drone_flies_on(
+    runs: list[Run], tmp_path: Path
+) -> None:
+    start = starter(tmp_path, runs, free_endpoint(), "zstd")
+    assert_a_ground_station_comes_and_goes(start)
+
+
+def test_so_it_does_between_two_network_namespaces(
+    runs: list[Run], tmp_path: Path, namespaces: Namespaces
+) -> None:
+    start = starter(tmp_path, runs, ENDPOINT, "zstd", *namespaces.commands)
+    assert_a_ground_station_comes_and_goes(start)
+
+
+def test_a_slow_cable_that_is_pulled_for_a_while_loses_messages_and_never_holds_the_drone_back(
+    runs: list[Run], tmp_path: Path, namespaces: Namespaces
+) -> None:
+    try:
+        namespaces.slow("8mbit")  # a third of what the edge has to say
+    except NotAllowed as why:
+        pytest.skip(f"no slow cable: {why}")
+    start = starter(tmp_path, runs, ENDPOINT, "null", *namespaces.commands)
+    drone, ground = start("drone"), start("ground")
+    ground.until(sees)
+    namespaces.plug(namespaces.names[1], "down")
+    before = drone.page()["outputs"]["camera/out"]["count"]
+    drone.until(lambda page: bool(page["outputs"]["camera/out"]["count"] >= before + 40))
+    seen = ground.page()["edges"]["camera/out->seen/message"]["delivered"]
+    namespaces.plug(namespaces.names[1], "up")
+    ground.until(lambda page: sees(page, seen + 5))
+    for run in (ground, drone):
+        os.kill(run.process.pid, signal.SIGINT)
+    report = ground.report()
+    assert report["ledger_balanced"]
+    [book] = report["edges"].values()
+    assert book["dropped"]["lost_in_transport"] >= 15  # of the pulled cable alone
+    report = drone.report()
+    assert report["ledger_balanced"]
+    assert report["outputs"]["camera/out"]["longest_gap_ms"] < 2_000
