@@ -64,4 +64,4 @@ def test_the_host_of_the_first_source_tells_the_clock(graph: Graph) -> None:
 
 def test_zenohs_own_keys_go_to_every_process_of_the_host(graph: Graph) -> None:
     assert ends(graph, "mapping")["zenoh"].items() >= {"mode": "peer"}.items()
-    assert ends(graph, "station")["zenoh"] == {}
+    assert "mode" not in ends(graph, "station")["zenoh"]
