@@ -7,7 +7,8 @@ UAV := graphs/emulated_uav.yaml
 # Rows of the paper's Table 2, each with more of the graph than the one before.
 TABLE2 := graphs/profile/segmentation.yaml,graphs/profile/segmentation_detection.yaml,graphs/profile/image_networks.yaml,graphs/profile/image_fusion.yaml,graphs/profile/everything.yaml
 
-# On every core; what runs on the real clock comes after, alone: others would make it late.
+# On every core; what runs on the real clock comes after, beside its like, which mostly wait: what
+# computes would make it late.
 PYTEST := $(BIN)/python -m pytest
 ON_ALL_CORES := -n logical --maxprocesses 4 --dist worksteal
 
@@ -53,11 +54,11 @@ demo-truth: venv  ## Simulate a flight and map it, what is true in place of the 
 
 test: venv  ## Run all tests
 	$(PYTEST) $(ON_ALL_CORES) -m "not realtime"
-	$(PYTEST) -m realtime
+	$(PYTEST) $(ON_ALL_CORES) -m realtime
 
 test-fast: venv  ## Run the tests that take under a minute together
 	$(PYTEST) $(ON_ALL_CORES) -m "not realtime and not slow"
-	$(PYTEST) -m "realtime and not slow"
+	$(PYTEST) $(ON_ALL_CORES) -m "realtime and not slow"
 
 check: venv  ## Check formatting, lint, types and tests; changes no file (what CI runs)
 	$(BIN)/ruff format --check
