@@ -97,7 +97,7 @@ def test_one_run_says_what_each_stage_costs(overflight: Callable[..., Any], grap
     assert not rows["seen"]["emulated"]
     assert rows["detect_rgb"]["devices"] == ["tpu"]
     wall = rows["detect_rgb"]["steps"]["tpu"]["infer"]["wall_ms"]
-    assert wall["p50"] >= 10
+    assert wall["p50"] > 9
     lines = [row["cpu_percent"] for row in page["stages"]] + list(page["rest_percent"].values())
     assert sum(lines) == pytest.approx(page["process_percent"], abs=0.1)
     assert {"scheduler", "drivers", "garbage collector", "unattributed"} <= set(
