@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -10,11 +10,20 @@ from tools.drawing.diagram import Diagram
 from tools.drawing.plot import COLORS, Line, bar_plot, line_plot
 from tools.drawing.svg import svg
 from tools.profiling.profile_page import PARTS
-from tools.profiling.profile_table import EMULATED, EMULATED_NOTE, both, name, number
+from tools.profiling.profile_table import (
+    EMULATED,
+    EMULATED_NOTE,
+    both,
+    name,
+    number,
+    sweep_note,
+)
 
 #: Stages of less are left out of the bars, which say so.
 LEAST_PERCENT = 0.05
 REST = "the rest of the process"
+#: Columns of words; the others are figures.
+WORDS = ("stage", "device", "variant", "model", "not used")
 
 STYLE = """
 :root { color-scheme: light; }
@@ -34,8 +43,8 @@ table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size
 th, td { padding: 3px 10px; text-align: right; white-space: nowrap; }
 th { color: #64748b; font-weight: 600; border-bottom: 1px solid #e2e8f0; white-space: normal;
      vertical-align: bottom; }
-th:first-child, td:first-child, th:last-child, td:last-child { text-align: left; }
-td:last-child { white-space: normal; min-width: 190px; }
+th.words, td.words { text-align: left; }
+td.words:last-child { white-space: normal; min-width: 190px; }
 tr:nth-child(even) td { background: #f8fafc; } .warn { color: #b45309; }
 """
 
@@ -186,36 +195,37 @@ def _stages(stages: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _points(sweep: Sequence[Mapping[str, Any]]) -> str:
-    head = ["variant", "model", "device", "asked, Hz", "rate, Hz", "CPU, %", "CPU ms a run"]
-    head += ["infer, ms", "age, ms", ""]
-    rows = []
-    for point in sweep:
-        first = [
-            name(point),
-            point["model"] or "",
-            point["device"],
-        ]
-        if point["failed"]:
-            rows.append([*first, "", "", "", "", "", "", f"not run: {point['failed']}"])
-            continue
-        rows.append(
-            [
-                *first,
-                number(point["wanted_hz"], 1),
-                number(point["rate_hz"], 2),
-                number(point["cpu_percent"], 2),
-                number(point["cpu_ms"], 2),
-                both(point["infer_ms"]),
-                both(point["age_ms"]),
-                "",
-            ]
-        )
-    return f'<div class="card">{_table(head, rows)}</div>'
+    columns: dict[str, Callable[[Mapping[str, Any]], str]] = {
+        "variant": name,
+        "model": lambda point: point["model"] or "",
+        "device": lambda point: point["device"],
+        "asked, Hz": lambda point: number(point["wanted_hz"], 1),
+        "rate, Hz": lambda point: number(point["rate_hz"], 2),
+        "CPU, %": lambda point: number(point["cpu_percent"], 2),
+        "CPU ms a run": lambda point: number(point["cpu_ms"], 2),
+        "infer, ms": lambda point: both(point["infer_ms"]),
+        "age, ms": lambda point: both(point["age_ms"]),
+    }
+    ran = [point for point in sweep if not point["failed"]]
+    shown = {head: cell for head, cell in columns.items() if any(map(cell, ran))}
+    rows = [[cell(point) for cell in shown.values()] for point in ran]
+    not_run = [
+        f"Not run: {name(point)} on {point['device'] or 'its devices'}: {point['failed']}."
+        for point in sweep
+        if point["failed"]
+    ]
+    notes = [*not_run, sweep_note(ran)]
+    return f'<div class="card">{_table(list(shown), rows)}</div>' + "".join(
+        f'<p class="dim">{escape(note)}</p>' for note in notes
+    )
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = ["<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in head) + "</tr>"]
-    lines += [
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
-    ]
-    return "<table>" + "\n".join(lines) + "</table>"
+    def line(cells: Sequence[str], tag: str) -> str:
+        kinds = [' class="words"' if column in WORDS else "" for column in head]
+        return "".join(
+            f"<{tag}{kind}>{escape(cell)}</{tag}>" for kind, cell in zip(kinds, cells, strict=True)
+        )
+
+    lines = [line(head, "th"), *(line(row, "td") for row in rows)]
+    return "<table>" + "\n".join(f"<tr>{cells}</tr>" for cells in lines) + "</table>"

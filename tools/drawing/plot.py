@@ -55,17 +55,14 @@ def line_plot(lines: Sequence[Line], x_label: str, y_label: str, note: str = "")
         body.append(
             f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="2"{dash}/>'
         )
-        body += [
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{PAPER if line.dashed else color}" '
-            f'stroke="{color}" stroke-width="1.5"/>'
-            for x, y in places
-        ]
+        body += [_mark(x, y, color, line.dashed) for x, y in places]
         y = top + 10 + 20 * number
         x = left + width + 16
         body.append(
             f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{x + 26:.1f}" y2="{y:.1f}" stroke="{color}" '
             f'stroke-width="2"{dash}/>'
         )
+        body.append(_mark(x + 13, y, color, line.dashed))
         body.append(_text(x + 32, y + 4, line.name))
     whole = whole[0], max(whole[1], top + 20 * len(lines) + 20)
     return _picture(*whole, body, f"{y_label} over {x_label}")
@@ -123,6 +120,15 @@ def ticks(most: float) -> tuple[float, float]:
 
 def _steps(step: float, end: float) -> list[float]:
     return [number * step for number in range(round(end / step) + 1)]
+
+
+def _mark(x: float, y: float, color: str, dashed: bool) -> str:
+    """A point; a dashed line's is a wider ring, seen around another at the same place."""
+    radius, fill = (5.5, "none") if dashed else (3.5, color)
+    return (
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{fill}" stroke="{color}" '
+        'stroke-width="1.5"/>'
+    )
 
 
 def _rule(x1: float, y1: float, x2: float, y2: float) -> str:

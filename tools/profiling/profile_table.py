@@ -93,12 +93,17 @@ def print_sweep(points: Sequence[Mapping[str, Any]], console: Console) -> None:
                 f"not run: {name(point)} on {point['device'] or 'its devices'}: {point['failed']}"
             )
             console.print(text, style="yellow", highlight=False, soft_wrap=True)
+    console.print(sweep_note(ran), style="dim", highlight=False)
+    if any(point["emulated"] for point in points):
+        console.print(EMULATED_NOTE, style="dim", highlight=False)
+
+
+def sweep_note(ran: Sequence[Mapping[str, Any]]) -> str:
+    """What the columns of a sweep are."""
     note = "CPU: percent of a core, and ms of a run. Times: p50/p99."
     if any(point["stage"] is None for point in ran):
         note += " Hz and age: of the slowest and oldest output; without the sensors."
-    console.print(note, style="dim", highlight=False)
-    if any(point["emulated"] for point in points):
-        console.print(EMULATED_NOTE, style="dim", highlight=False)
+    return note
 
 
 def both(quantiles: Mapping[str, float | None] | None) -> str:
