@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -13,10 +16,12 @@ import pytest
 from stub_edgetpu import stub_library
 from tiny_models import SHAPE, write_edgetpu, write_onnx, write_openvino, write_tflite
 
+import accelerators
 from accelerators.emulated import Emulated
 from accelerators.litert import EdgeTpu, TfliteCpu
 from accelerators.onnx import Onnx
 from accelerators.openvino import OpenVino
+from accelerators.recorded import Record, Recorded
 from pipeline.errors import DeviceError, ModelError
 from pipeline.model import Accelerator, Model
 
@@ -33,6 +38,8 @@ class Case:
     def computes(self) -> bool:
         return self.write is not None
 
+
+ANSWERS = TemporaryDirectory(prefix="answers_")  #: gone with the tests
 
 CASES = {
     "litert": Case(lambda: TfliteCpu(tflite_backend="litert"), ".tflite", write_tflite),
@@ -52,6 +59,7 @@ CASES = {
     "openvino_onnx": Case(OpenVino, ".onnx", write_onnx),
     "onnx": Case(Onnx, ".onnx", write_onnx),
     "emulated": Case(lambda: Emulated(latency_ms={"tiny": 0.1}), "", None),
+    "record": Case(lambda: Record(device=Onnx(), path=Path(ANSWERS.name)), ".onnx", write_onnx),
     "emulated_with_real_outputs": Case(
         lambda: Emulated(latency_ms={"tiny": 0.1}, outputs=Onnx()), ".onnx", write_onnx
     ),
@@ -59,6 +67,7 @@ CASES = {
 
 VARIANT: Mapping[str, Any] = {
     "model": "tiny",
+    "kind": "the one of the file",
     "input": {"name": "x", "shape": SHAPE[1:], "dtype": "float32"},
     "outputs": {"y1": {"shape": SHAPE}},
 }
@@ -79,6 +88,17 @@ def model(case: Case, tmp_path: Path) -> Model:
     if case.write:
         case.write(path)
     return case.make().load(str(path), VARIANT)
+
+
+def test_every_accelerator_that_ships_has_a_case() -> None:
+    shipped = {
+        cls
+        for module in pkgutil.iter_modules(accelerators.__path__, "accelerators.")
+        for cls in vars(importlib.import_module(module.name)).values()
+        if isinstance(cls, type) and hasattr(cls, "kinds") and cls.__module__ == module.name
+    }
+    missing = shipped - {type(case.make()) for case in CASES.values()}
+    assert missing == {Recorded}, "it alone computes nothing that it was not told before"
 
 
 def test_a_probe_names_the_device_and_the_runtime_with_its_version(case: Case) -> None:
