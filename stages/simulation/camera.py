@@ -103,19 +103,11 @@ def render(
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
-    m = world_from_camera
     rays, look = packet.rays, scene.look
     sunlit = np.empty(PACKET, dtype=np.bool_)
     for top in range(0, height, TILE[0]):
         for left in range(0, width, TILE[1]):
-            for k in range(PACKET):
-                x = (left + k % TILE[1] - cx) / fx
-                y = (top + k // TILE[1] - cy) / fy
-                inverse = 1.0 / math.sqrt(x * x + y * y + 1.0)
-                for axis in range(3):
-                    rays[OX + axis, k] = m[axis, 3]
-                    rays[DX + axis, k] = (m[axis, 0] * x + m[axis, 1] * y + m[axis, 2]) * inverse
-                rays[T, k] = FAR_M
+            aim_through_pixels(rays, top, left, world_from_camera, intrinsics)
             trace(scene, packet, False)
             resolve(scene, packet, hits)
             aim_at_sun(hits, rays, shadow.rays, sun)
@@ -143,6 +135,27 @@ def render(
                 depth[row, column] = 0.0
                 if hits.surface[k] != NOTHING:
                     depth[row, column] = rays[T, k] / math.sqrt(x * x + y * y + 1.0)
+
+
+@compiled
+def aim_through_pixels(
+    rays: NDArray[np.float32],
+    top: int,
+    left: int,
+    world_from_camera: NDArray[np.float32],
+    intrinsics: NDArray[np.float64],
+) -> None:
+    """Set the rays from the camera through the pixels of a tile, whose first is (top, left)."""
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    m = world_from_camera
+    for k in range(PACKET):
+        x = (left + k % TILE[1] - cx) / fx
+        y = (top + k // TILE[1] - cy) / fy
+        inverse = 1.0 / math.sqrt(x * x + y * y + 1.0)
+        for axis in range(3):
+            rays[OX + axis, k] = m[axis, 3]
+            rays[DX + axis, k] = (m[axis, 0] * x + m[axis, 1] * y + m[axis, 2]) * inverse
+        rays[T, k] = FAR_M
 
 
 @compiled

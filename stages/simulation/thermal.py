@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.kernels.compiled import compiled
-from stages.simulation.camera import aim_at_sun
+from stages.simulation.camera import aim_at_sun, aim_through_pixels
 from stages.simulation.hits import FACING, LX, LY, LZ, NX, NY, NZ, Hits, U, V, resolve
 from stages.simulation.materials import MATERIALS, Material
 from stages.simulation.noise import chance, fractal_noise
 from stages.simulation.textures import PANE, facade_part, is_facade
-from stages.simulation.trace import DX, DZ, NOTHING, OX, PACKET, TILE, Packet, Scene, T, trace
+from stages.simulation.trace import DZ, NOTHING, PACKET, TILE, Packet, Scene, T, trace
 
-FAR_M = 400.0
 AIR_C = 14.0
 _ZERO_C = 27315.0  #: counts at 0 degC, of 0.01 K
 _STEP = 4  #: counts: the camera resolves 0.04 K
@@ -83,19 +82,11 @@ def _radiate(
 ) -> None:
     """Apparent temperature (h, w), degC, and things (h, w)."""
     height, width = celsius.shape
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
-    m = world_from_camera
+    fx = intrinsics[0]
     rays = packet.rays
     for top in range(0, height, TILE[0]):
         for left in range(0, width, TILE[1]):
-            for k in range(PACKET):
-                x = (left + k % TILE[1] - cx) / fx
-                y = (top + k // TILE[1] - cy) / fy
-                inverse = 1.0 / math.sqrt(x * x + y * y + 1.0)
-                for axis in range(3):
-                    rays[OX + axis, k] = m[axis, 3]
-                    rays[DX + axis, k] = (m[axis, 0] * x + m[axis, 1] * y + m[axis, 2]) * inverse
-                rays[T, k] = FAR_M
+            aim_through_pixels(rays, top, left, world_from_camera, intrinsics)
             trace(scene, packet, False)
             resolve(scene, packet, hits)
             aim_at_sun(hits, rays, shadow.rays, sun)

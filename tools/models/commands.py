@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tools.commands.options import AsJson, ModelFiles
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -19,17 +21,6 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, help="List, check and add models.")
 
 NOT_RIGHT = 1
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
-ModelFiles = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--models",
-        metavar="FILE",
-        help="A further model registry beside the shipped one. Repeatable.",
-        show_default=False,
-    ),
-]
 
 
 @app.command(name="list", epilog="Example: overflight models list --models my_models.yaml")

@@ -16,6 +16,25 @@ import psutil
 
 from pipeline.measuring.board import boards, read_board
 
+#: `far` has a LiDAR and pairs its frames with those of a camera here, where the pairs are counted.
+TWO_PROCESSES = """\
+overflight: 1
+graph: apart
+processes: {far: {nice: 5}}
+stages:
+  camera: {use: apart_stages:Frames, options: {rate_hz: 20}}
+  lidar: {use: apart_stages:Frames, options: {rate_hz: 10, pixels: 300000}, process: far}
+  work:
+    use: apart_stages:Pair
+    process: far
+    inputs:
+      frame: {from: lidar, queue: {policy: drop_oldest, size: 30}}
+      other: {from: camera, sync: nearest, tolerance_ms: 60}
+  kept:
+    use: stages.sinks.count:Count
+    inputs: {message: {from: work, queue: {policy: block, size: 3}}}
+"""
+
 STAGES = """\
 from collections.abc import Iterator
 from dataclasses import dataclass

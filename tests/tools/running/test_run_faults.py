@@ -7,26 +7,10 @@ import signal
 from pathlib import Path
 
 import pytest
-from flying import Run
+from flying import TWO_PROCESSES, Run
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
-GRAPH = """\
-overflight: 1
-graph: apart
-stages:
-  camera: {use: apart_stages:Frames, options: {rate_hz: 20}}
-  lidar: {use: apart_stages:Frames, options: {rate_hz: 10, pixels: 300000}, process: far}
-  work:
-    use: apart_stages:Pair
-    process: far
-    inputs:
-      frame: {from: lidar, queue: {policy: drop_oldest, size: 30}}
-      other: {from: camera, sync: nearest, tolerance_ms: 60}
-  kept:
-    use: stages.sinks.count:Count
-    inputs: {message: {from: work, queue: {policy: block, size: 3}}}
-"""
 OVERLAY = """\
 faults:
   sources: {camera: {repeats_at_s: 0.31}}
@@ -36,7 +20,7 @@ faults:
 
 
 def test_a_run_survives_its_faults_tells_of_each_and_its_ledger_balances(tmp_path: Path) -> None:
-    (tmp_path / "apart.yaml").write_text(GRAPH)
+    (tmp_path / "apart.yaml").write_text(TWO_PROCESSES)
     (tmp_path / "faults.yaml").write_text(OVERLAY)
     run = Run(tmp_path, "--overlay", "faults.yaml")
     try:
@@ -70,7 +54,7 @@ def test_a_run_survives_its_faults_tells_of_each_and_its_ledger_balances(tmp_pat
 
 def test_a_cut_alone_is_lost_in_transport_to_the_message(tmp_path: Path) -> None:
     """Nobody is killed, so both ends' books are there: they agree on every message."""
-    (tmp_path / "apart.yaml").write_text(GRAPH)
+    (tmp_path / "apart.yaml").write_text(TWO_PROCESSES)
     (tmp_path / "faults.yaml").write_text(
         "faults: {links: {camera: {cut_at_s: 0.5, restored_at_s: 1.0}}}"
     )

@@ -11,34 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flying import Run, shared_memory
+from flying import TWO_PROCESSES, Run, shared_memory
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
-
-GRAPH = """\
-overflight: 1
-graph: apart
-processes: {far: {nice: 5}}
-stages:
-  camera: {use: apart_stages:Frames, options: {rate_hz: 20}}
-  lidar: {use: apart_stages:Frames, options: {rate_hz: 10, pixels: 300000}, process: far}
-  work:
-    use: apart_stages:Pair
-    process: far
-    inputs:
-      frame: {from: lidar, queue: {policy: drop_oldest, size: 30}}
-      other: {from: camera, sync: nearest, tolerance_ms: 60}
-  kept:
-    use: stages.sinks.count:Count
-    inputs: {message: {from: work, queue: {policy: block, size: 3}}}
-"""
 
 
 @pytest.fixture
 def run(tmp_path: Path) -> Iterator[Callable[..., Run]]:
     started: list[Run] = []
 
-    (tmp_path / "apart.yaml").write_text(GRAPH)
+    (tmp_path / "apart.yaml").write_text(TWO_PROCESSES)
 
     def start(*words: str) -> Run:
         started.append(Run(tmp_path, *words))
