@@ -33,6 +33,9 @@ SCAN_SIZE = (512, 64)
 #: Up to this share of the returns are taken away in training: the sensor is the same, some of its
 #: returns are lost.
 LOST = 0.2
+#: Greatest learning rate of a scan network: twice that of the image networks, as it has few
+#: parameters.
+SCAN_RATE = 4e-3
 #: Beyond it a simulated scan has no return either.
 MAX_RANGE_M = 200.0
 
@@ -109,6 +112,7 @@ def train_scan_segmenter(
         ),
         samples=inputs,
         data=f"{order.data.name}: {len(scans):,} scans, normalized as {sensor}",
+        rate=SCAN_RATE,
         finish=lambda trained: balance(trained, inputs, [one.classes for one in chosen]),
     )
     return carry_out(plan, order, console)

@@ -26,6 +26,9 @@ AROUND_CLASS, ODDS_POWER = 0.7, 0.5
 #: Of the published class weights (1 / share) the square root: with crops around rare classes, the
 #: whole makes a network see persons everywhere.
 WEIGHT_POWER = 0.5
+#: What is added to the shares in both: else riders, a fortieth of the persons, take a third of the
+#: draws, and persons are called riders.
+SHARE_FLOOR = 0.01
 #: An image holds a class from so many cells on.
 MIN_CELLS = 12
 
@@ -64,7 +67,7 @@ class ImageSegmenter:
         self._side = side
         self._batch_size = batch_size
         self._places = _Places([one.classes for one in images])
-        self._weights = class_weights(self._places.counts, WEIGHT_POWER)
+        self._weights = class_weights(self._places.counts, WEIGHT_POWER, SHARE_FLOOR)
 
     def batch(self, random: np.random.Generator) -> dict[str, Tensor]:
         crops = [self._crop(random) for _ in range(self._batch_size)]
@@ -109,8 +112,8 @@ class ScanSegmenter:
         scans: Sequence[LabeledScan],
         mean: NDArray[np.float32],
         std: NDArray[np.float32],
-        columns: int = 256,
-        batch_size: int = 4,
+        columns: int = 160,
+        batch_size: int = 6,
         lost: float = 0.5,
     ) -> None:
         """`mean` and `std` (5,) are those of the stage that will prepare the scans.
@@ -126,7 +129,7 @@ class ScanSegmenter:
         self._lost = lost
         self._batch_size = batch_size
         self._places = _Places([one.classes for one in scans])
-        self._weights = class_weights(self._places.counts, WEIGHT_POWER)
+        self._weights = class_weights(self._places.counts, WEIGHT_POWER, SHARE_FLOOR)
 
     def batch(self, random: np.random.Generator) -> dict[str, Tensor]:
         drawn = [self._draw(random) for _ in range(self._batch_size)]
@@ -144,7 +147,7 @@ class ScanSegmenter:
         columns = int(random.integers(scan.classes.shape[1]))
         if around is not None:
             columns = int(random.integers(self._columns)) - int(around[1])
-        turned = cut_scan(turned_scan(scan, columns), self._columns)
+        turned = turned_scan(scan, columns, self._columns)
         if random.random() < 0.5:
             turned = mirrored_scan(turned)
         share = random.uniform(0, self._lost) * (random.random() < 0.5)
@@ -160,20 +163,17 @@ class ScanSegmenter:
         return np.asarray(normal, dtype=np.float32)
 
 
-def turned_scan(scan: LabeledScan, columns: int) -> LabeledScan:
+def turned_scan(scan: LabeledScan, columns: int, kept: int | None = None) -> LabeledScan:
     """The scan of a sensor turned about its z axis: columns further right, points further clockwise
-    (the azimuth falls from column to column, eq 18)."""
-    angle = -2 * np.pi * columns / scan.classes.shape[1]
-    channels = np.roll(scan.channels, columns, axis=2)
+    (the azimuth falls from column to column, eq 18). All of its columns, or the first `kept`."""
+    around = scan.classes.shape[1]
+    angle = -2 * np.pi * columns / around
+    chosen = (np.arange(kept or around) - columns) % around
+    channels = scan.channels[:, :, chosen]
     x, y = channels[1].copy(), channels[2].copy()
     channels[1] = np.cos(angle) * x - np.sin(angle) * y
     channels[2] = np.sin(angle) * x + np.cos(angle) * y
-    return LabeledScan(channels, np.roll(scan.classes, columns, axis=1))
-
-
-def cut_scan(scan: LabeledScan, columns: int) -> LabeledScan:
-    """The first `columns` of a scan."""
-    return LabeledScan(scan.channels[:, :, :columns], scan.classes[:, :columns])
+    return LabeledScan(channels, scan.classes[:, chosen])
 
 
 def mirrored_scan(scan: LabeledScan) -> LabeledScan:
@@ -205,7 +205,7 @@ class _Places:
             label: np.flatnonzero(cells[:, label] >= MIN_CELLS)
             for label in np.flatnonzero((cells >= MIN_CELLS).any(axis=0))
         }
-        odds = class_weights(self.counts, ODDS_POWER).numpy().astype(np.float64)
+        odds = class_weights(self.counts, ODDS_POWER, SHARE_FLOOR).numpy().astype(np.float64)
         self._odds = odds[list(self._holders)] / max(odds[list(self._holders)].sum(), 1e-9)
 
     def draw(self, random: np.random.Generator) -> tuple[int, NDArray[np.int64] | None]:

@@ -9,6 +9,7 @@ torch = pytest.importorskip("torch", reason="the extra 'train' is not installed"
 
 from tools.train.salsanext import SalsaNext  # noqa: E402
 from tools.train.segmentation_loss import (  # noqa: E402
+    SMALLEST_ERROR,
     class_weights,
     cross_entropy,
     lovasz_gradient,
@@ -32,7 +33,8 @@ def iou_loss(truth: np.ndarray, wrong: np.ndarray) -> float:
 @given(st.lists(st.booleans(), min_size=1, max_size=10).filter(any))
 def test_the_lovasz_gradient_adds_up_to_what_the_first_errors_cost(truth: list[bool]) -> None:
     known = np.array(truth)
-    gradient = lovasz_gradient(torch.tensor(truth, dtype=torch.float32)).numpy()
+    errors = torch.tensor(truth, dtype=torch.float32)
+    gradient = lovasz_gradient(errors, errors.sum()).numpy()
     for count in range(1, len(truth) + 1):
         wrong = np.arange(len(truth)) < count
         assert gradient[:count].sum() == pytest.approx(iou_loss(known, wrong), abs=1e-5)
@@ -55,10 +57,27 @@ def test_an_image_without_truth_costs_nothing() -> None:
     assert float(loss.detach()) == 0
 
 
+@given(st.integers(0, 2**32 - 1))
+def test_small_errors_are_left_out_for_next_to_nothing(seed: int) -> None:
+    random = torch.Generator().manual_seed(seed)
+    logits = 5 * torch.randn(1, 4, 6, 8, generator=random)
+    labels = torch.randint(1, 4, (1, 6, 8), generator=random)
+    probability = logits.softmax(dim=1).movedim(1, -1).reshape(-1, 4)
+    whole = []
+    for label in labels.unique():
+        is_it = (labels.flatten() == label).float()
+        error, order = (is_it - probability[:, label]).abs().sort(descending=True)
+        whole.append(float((error * lovasz_gradient(is_it[order], is_it.sum())).sum()))
+    quick = float(lovasz_softmax(logits, labels))
+    assert 0 <= np.mean(whole) - quick + 1e-6 <= SMALLEST_ERROR + 2e-6
+
+
 def test_rare_classes_weigh_more_and_absent_ones_nothing() -> None:
     weights = class_weights([100, 900, 99, 1, 0])
     assert weights[0] == weights[4] == 0
     assert weights[3] > weights[2] > weights[1] > 0
+    milder = class_weights([100, 900, 99, 1, 0], floor=0.1)
+    assert weights[3] / weights[1] > milder[3] / milder[1] > 1
 
 
 def scan() -> LabeledScan:
@@ -84,6 +103,12 @@ def test_a_changed_scan_still_has_its_points_in_the_columns_of_their_azimuths(
     changed: LabeledScan,
 ) -> None:
     assert (azimuth_columns(changed) == np.arange(32)).all()
+
+
+def test_a_part_of_a_turn_is_cut_from_the_whole() -> None:
+    whole, part = turned_scan(scan(), 7), turned_scan(scan(), 7, 12)
+    np.testing.assert_array_equal(part.channels, whole.channels[:, :, :12])
+    np.testing.assert_array_equal(part.classes, whole.classes[:, :12])
 
 
 def test_labels_move_with_their_points() -> None:
