@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Any
@@ -121,7 +122,7 @@ class Control:
         elif call == "gone":
             self.gone(header["process"])
         elif call == "state":
-            answer |= {"first": self._first, "text": self._text}
+            answer |= {"first": self._first, "text": self._text, "cpu_s": time.process_time()}
             if self._state is State.READY:
                 answer |= {"missing": self._missing(), "clock": self._clock()}
         elif call == "page":

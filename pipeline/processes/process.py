@@ -33,6 +33,8 @@ class PartProcess:
         self.missing: list[str] = []  #: ports that it has not heard of
         self.clock: tuple[int, int] | None = None  #: another host's clock, as it heard it
         self.text = ""  #: why it failed
+        self.cpu_s = 0.0  #: what it has computed in this life
+        self.lost_at = 0.0  #: when its last life ended
         self.report: dict[str, Any] | None = None
         self.ended_at: float | None = None  #: when it left that, until the others are told
         self.page: dict[str, Any] = {}  #: how its run stands
@@ -125,6 +127,7 @@ class PartProcess:
         self.state = State(answer["state"])
         if call == "state":
             self.first, self.text = answer.get("first"), answer.get("text", "")
+            self.cpu_s = answer.get("cpu_s", 0.0)
             self.missing = answer.get("missing", [])
             self.clock = answer.get("clock")
         elif call == "page":
@@ -138,4 +141,5 @@ class PartProcess:
         if self.report is not None:
             return None
         self.past.append(self.page)
+        self.lost_at = time.monotonic()
         return how

@@ -238,7 +238,12 @@ class Supervisor:
             and not stage.cls.stateless
             and not stage.contract.is_source
         ]
-        text = f"its process is back (start {process.lives})"
+        # Where the two differ by much, it waited for a core, or for something else than one.
+        away_s = time.monotonic() - process.lost_at
+        text = (
+            f"its process is back (start {process.lives}) after {away_s:.1f} s, in which it "
+            f"computed for {process.cpu_s:.1f} s"
+        )
         self._event("process_back", process.name, text)
         for name in kept:
             text = "began anew: what it kept in memory is lost, but for what it reads back itself"

@@ -37,6 +37,8 @@ DEFAULTS: Mapping[str, Any] = {
     "connect/timeout_ms": -1,
     "connect/exit_on_failure": False,
     "connect/retry": {"period_init_ms": 100, "period_max_ms": 100, "period_increase_factor": 1},
+    # One that takes the connection and does not answer (stopped, hung) would cost 10 s a try.
+    "transport/unicast/open_timeout": 2000,
     "open/return_conditions/connect_scouted": False,
     "open/return_conditions/declares": False,
 }

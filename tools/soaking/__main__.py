@@ -24,7 +24,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from pipeline.measuring.board import boards, read_board
 from tools.load import open_graph
-from tools.soaking.verdicts import Verdict, table, verdicts
+from tools.soaking.verdicts import Verdict, sentence, table, verdicts
 from tools.soaking.watch import Watch
 
 #: Between two looks at the run; its page is renewed twice a second.
@@ -68,6 +68,7 @@ def soak(
         ended = json.loads(found.read_text()) if found.exists() else {}
     judged = verdicts(watch, ended, code)
     console.print(table(judged, watch))
+    console.print(sentence(judged), highlight=False)
     if report is not None:
         report.write_text(json.dumps(watch.page() | {"verdicts": _page(judged)}, indent=2) + "\n")
     raise typer.Exit(0 if all(verdict.met for verdict in judged) else 1)

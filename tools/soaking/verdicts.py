@@ -10,12 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.table import Table
 
-from tools.soaking.watch import Life, Watch
+from tools.soaking.watch import SETTLED_S, Life, Watch
 
 #: The longest silence of any output.
 MOST_SILENT_S = 5.0
 #: From a kill to the first new output of the killed process, 95 of 100.
 MOST_BACK_S = 5.0
+#: Until then the map fills and the heap finds its size: from there on the memory of a process is
+#: judged, where so many of its starts tell.
+FULL_S, LEAST_LIVES = 120.0, 3
 #: What processes may hold more in the last third of a soak than in the first.
 MOST_GROWTH_MB = 16.0
 MOST_GROWTH_DESCRIPTORS = 4
@@ -84,12 +87,17 @@ def _lives(watch: Watch) -> list[Verdict]:
             by_name[life.name].append(life)
     found = []
     for name, lives in sorted(by_name.items()):
-        settled = [life.settled_mb for life in lives if life.settled_mb is not None]
+        full = [life for life in lives if life.born_s + SETTLED_S >= FULL_S]
+        settled = [life.settled_mb for life in full if life.settled_mb is not None]
         files = [n for life in lives if (n := life.settled_descriptors) is not None]
-        within = max(life.last_mb - (life.settled_mb or 0.0) for life in lives)
-        what = f"{name}: memory over {len(lives)} lives, each 10 s old"
-        note = f" ({settled[0]:.0f} to {settled[-1]:.0f} MB; most within a life {within:+.0f} MB)"
-        found.append(_grows(what, settled, MOST_GROWTH_MB, "MB", note))
+        what = f"{name}: memory of {len(full)} starts after {FULL_S:g} s, each {SETTLED_S:g} s old"
+        if len(full) < LEAST_LIVES:
+            text = f"too short to tell: {LEAST_LIVES} starts are needed"
+            found.append(Verdict(f"{what}: growth", text, "", True))
+        else:
+            within = max(life.last_mb - (life.settled_mb or 0.0) for life in full)
+            note = f" ({settled[0]:.0f} to {settled[-1]:.0f} MB; most in one {within:+.0f} MB)"
+            found.append(_grows(what, settled, MOST_GROWTH_MB, "MB", note))
         found.append(_grows(f"{name}: descriptors", files, MOST_GROWTH_DESCRIPTORS, ""))
     return found
 
@@ -136,3 +144,11 @@ def table(judged: Sequence[Verdict], watch: Watch) -> Table:
         mark = "[green]met[/green]" if verdict.met else "[red]NOT MET[/red]"
         made.add_row(verdict.what, verdict.measured, verdict.bound, mark if verdict.bound else "")
     return made
+
+
+def sentence(judged: Sequence[Verdict]) -> str:
+    """The end of it, in words."""
+    missed = [verdict.what for verdict in judged if not verdict.met]
+    if missed:
+        return f"Not met ({len(missed)} of {len(judged)}): {'; '.join(missed)}."
+    return "Every bound is met."

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -98,6 +100,22 @@ def test_a_channel_that_blocks_loses_nothing_to_a_slow_reader() -> None:
         thread.join()
         until(lambda: len(slow.messages) == 200)
         assert slow.lost == 0
+
+
+@pytest.mark.realtime
+def test_who_takes_a_connection_and_does_not_answer_is_tried_again_soon() -> None:
+    endpoint = free_endpoint()
+    with socket.socket() as hung:
+        hung.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        hung.bind(("127.0.0.1", int(endpoint.rpartition(":")[2])))
+        hung.listen()
+        with Link(LinkOptions(connect=[endpoint], run=RUN)) as link:
+            taken, _ = hung.accept()
+            hung.close()
+            began = time.monotonic()
+            with taken, Link(LinkOptions(listen=[endpoint], run=RUN)):
+                until(lambda: link.peers() == 1)
+            assert time.monotonic() - began < 8  # 2 s, generously; Zenoh's own patience is 10
 
 
 def test_a_closed_link_publishes_no_more_and_says_so() -> None:

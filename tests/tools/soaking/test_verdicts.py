@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tools.soaking.verdicts import Verdict, growth, verdicts
+from tools.soaking.verdicts import Verdict, growth, sentence, verdicts
 from tools.soaking.watch import Kill, Life, Reading, Watch
 
 BALANCED = {"ledger_balanced": True}
@@ -61,11 +61,12 @@ def test_a_silence_of_more_than_five_seconds_is_named() -> None:
 
 def test_what_grows_is_found_life_by_life_and_reading_by_reading() -> None:
     watch = well()
-    for pid in range(10, 13):
-        watch.lives[pid] = Life("far", 50, 150.0, 150.0, 60, 60, 60)
+    for pid in range(10, 16):  # of six starts the last three hold more
+        mb, descriptors = (150.0, 60) if pid > 12 else (100.0, 30)
+        watch.lives[pid] = Life("far", 10.0 * pid + 10, mb, mb, descriptors, descriptors, 200)
     watch.readings += [Reading(60 + at, 90.0, 30, 12, 130.0) for at in range(12)]
     assert not_met(watch) == [
-        "far: memory over 5 lives, each 10 s old: growth",
+        "far: memory of 6 starts after 120 s, each 10 s old: growth",
         "far: descriptors: growth",
         "supervisor: memory: growth",
         "supervisor: descriptors: growth",
@@ -92,6 +93,21 @@ def test_nothing_read_is_not_taken_for_no_growth() -> None:
     watch = well()
     watch.readings = []
     assert "files in /dev/shm: growth" in not_met(watch)
+
+
+def test_memory_is_not_judged_while_the_map_fills() -> None:
+    watch = well()
+    for pid in range(10, 16):
+        watch.lives[pid] = Life("far", 10.0 * pid - 60, 100.0 + 9 * pid, 200.0, 30, 30, 100)
+    assert not_met(watch) == []
+    told = [v.measured for v in verdicts(watch, BALANCED, 0) if v.what.startswith("far: memory")]
+    assert told == ["too short to tell: 3 starts are needed"]
+
+
+def test_the_last_sentence_names_what_is_not_met() -> None:
+    assert sentence(verdicts(well(), BALANCED, 0)) == "Every bound is met."
+    judged = verdicts(well(), {}, 0)
+    assert sentence(judged) == f"Not met (1 of {len(judged)}): ledger across all lives."
 
 
 def test_growth_is_that_of_the_middle_of_the_last_third() -> None:
