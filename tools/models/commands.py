@@ -38,7 +38,7 @@ def list_models(models: ModelFiles = None, as_json: AsJson = False) -> None:
         return
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading in ("model", "head", "input", "variants", "license"):
-        table.add_column(heading, overflow="fold", no_wrap=heading == "model")
+        table.add_column(heading, overflow="fold", no_wrap=heading in ("model", "license"))
     for row in rows:
         variants = ", ".join(
             one["kind"] + ("" if one["present"] else " (missing)") for one in row["variants"]
