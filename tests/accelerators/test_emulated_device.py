@@ -92,7 +92,7 @@ def test_two_models_on_one_device_take_turns(time: Time) -> None:
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(timeout=10)
+        thread.join(timeout=60)
     assert time.now - start == pytest.approx(0.040)
 
 
@@ -258,7 +258,7 @@ def test_a_hang_without_end_ends_when_the_device_is_closed(time: Time) -> None:
     assert thread.is_alive()
     assert device.probe().reason == "the emulated device hangs, as its faults say"
     device.close()
-    thread.join(timeout=10)
+    thread.join(timeout=60)
     assert said == ["the emulated device was closed while it hung"]
 
 

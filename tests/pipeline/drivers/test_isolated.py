@@ -170,4 +170,4 @@ os.kill(os.getpid(), signal.SIGKILL)
     )
     pid = int(done.stdout)
     with contextlib.suppress(psutil.NoSuchProcess):
-        psutil.Process(pid).wait(5)  # raises where it lives on
+        psutil.Process(pid).wait(60)  # raises where it lives on

@@ -19,7 +19,7 @@ class Road:
 
     def send(self, head: bytes, body: bytes) -> None:
         self.under_way.release()
-        assert self.free.acquire(timeout=10)
+        assert self.free.acquire(timeout=60)
         self.sent.append((head, body))
         self.taken.release()
 
@@ -28,13 +28,13 @@ def test_a_newer_message_takes_the_place_of_one_that_waits_and_of_news_before_it
     road = Road()
     courier = Courier("to-x", road.send)
     courier.send(b"0", b"frame")
-    assert road.under_way.acquire(timeout=10)
+    assert road.under_way.acquire(timeout=60)
     for head, body in ((b"1", b"frame"), (b"after 1", b""), (b"2", b"frame"), (b"after 2", b"")):
         courier.send(head, body)  # returns at once: the link is busy
     courier.send(b"end", b"")
     road.free.release(3)
     for _ in range(3):
-        assert road.taken.acquire(timeout=10)
+        assert road.taken.acquire(timeout=60)
     assert road.sent == [(b"0", b"frame"), (b"2", b"frame"), (b"end", b"")]
     courier.close()
 
@@ -58,5 +58,5 @@ def test_a_closed_session_ends_it() -> None:
 
     courier = Courier("to-x", closed)
     courier.send(b"0", b"frame")
-    assert tried.wait(10)
+    assert tried.wait(60)
     courier.close()

@@ -47,7 +47,7 @@ class Slow(Listener):
     def __call__(self, arrival: Arrival) -> None:
         super().__call__(arrival)
         if arrival.envelope.kind is Kind.MESSAGE:
-            self.go.wait(20)
+            self.go.wait(200)
 
 
 def books(link: Link) -> ChannelStatistics:

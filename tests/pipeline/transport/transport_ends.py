@@ -23,7 +23,7 @@ CHANNEL = Channel("test/camera/out", "camera/out", PayloadSchema.of([Box]))
 
 def until(condition: Callable[[], Any]) -> None:
     """Wait for what another thread does; fails after 20 s."""
-    end = time.monotonic() + 20
+    end = time.monotonic() + 60
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.002)

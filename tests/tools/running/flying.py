@@ -132,7 +132,7 @@ class Run:
 
     def assert_no_process_is_left(self) -> None:
         assert self._seen
-        _, alive = psutil.wait_procs(self._seen.values(), timeout=10)
+        _, alive = psutil.wait_procs(self._seen.values(), timeout=60)
         assert alive == []
 
     def close(self) -> None:

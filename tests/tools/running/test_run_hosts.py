@@ -78,7 +78,7 @@ def assert_a_ground_station_comes_and_goes(start: Start) -> None:
         page = ground.until(sees)
         assert balances(page["edges"]["camera/out->seen/message"])
         os.kill(ground.process.pid, ending)
-        ground.process.communicate(timeout=30)
+        ground.process.communicate(timeout=60)
     os.kill(drone.process.pid, signal.SIGINT)
     report = drone.report()
     assert report["ledger_balanced"]

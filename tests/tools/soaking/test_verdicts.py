@@ -123,7 +123,7 @@ def test_a_kill_is_a_kill_and_its_outputs_are_back_once_they_count_again() -> No
     assert watch.flows
     watch.began(1.0)
     watch.kill("far", 2.0)
-    assert child.wait(10) == -9
+    assert child.wait(60) == -9
     shown = page(9, 7)  # made before it was killed, told after it
     watch.look(shown, 2.5)
     shown["processes"]["far"]["pid"] = os.getpid()
