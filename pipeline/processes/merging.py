@@ -59,11 +59,10 @@ def merged_report(
         "edges": ledger,
         "ledger_balanced": balanced(ledger) and all(link["balanced"] for link in links.values()),
         "outputs": {
-            str(port): page
+            str(port): _output(str(port), teller)
             for node in graph.topology.stages
-            if owner[node.name] in here
             for port in (Port(node.name, name) for name in node.outputs)
-            for page in [_output(str(port), here[owner[node.name]])]
+            if (teller := _teller(str(port), here.get(owner[node.name]), processes)) is not None
         },
         "devices": _devices(reports),
         "cpu": _cpu(reports.values()),
@@ -108,7 +107,9 @@ def merged_page(
         "elapsed_s": round(max(elapsed_ns, 0) / 1e9, 3),
         "cpu_cores": round(sum(page.get("cpu_cores", 0.0) for page in pages.values()), 4),
         "outputs": {
-            str(port): _shown_output(str(port), here.get(owner[node.name]))
+            str(port): _shown_output(
+                str(port), _teller(str(port), here.get(owner[node.name]), processes)
+            )
             for node in graph.topology.stages
             for port in (Port(node.name, name) for name in node.outputs)
         },
@@ -162,6 +163,15 @@ def _stage(name: str, process: Known) -> dict[str, Any]:
     page["runs"] += sum(earlier["runs"] for earlier in past)
     page["errors"] += sum(earlier["errors"] for earlier in past)
     return page
+
+
+def _teller(name: str, owner: Known | None, processes: Sequence[Known]) -> Known | None:
+    """The process that tells of an output: its own, or of one of another host a reader here, to
+    which it is what arrived."""
+    if owner is not None:
+        return owner
+    readers = (p for p in processes if name in (p.report or p.page).get("outputs", {}))
+    return next(readers, None)
 
 
 def _output(name: str, process: Known) -> dict[str, Any]:
