@@ -12,6 +12,7 @@ from __future__ import annotations
 from bisect import insort
 from collections import deque
 from collections.abc import Sequence
+from heapq import heappop
 from operator import attrgetter
 from typing import Any
 
@@ -292,11 +293,10 @@ class Scheduler(Streams):
         """Begin every step that may begin now; the end of every event."""
         while True:
             while self._dirty:
-                stages, self._dirty = self._dirty, []
-                for stage in stages:
-                    stage.dirty = False
-                    if stage.inputs and not stage.idle:
-                        self._look_at(stage)
+                stage = self._stages[heappop(self._dirty)]
+                stage.dirty = False
+                if stage.inputs and not stage.idle:
+                    self._look_at(stage)
             if not (self._wanting and self._free_workers and self._use_worker()):
                 break
         if self._timed:

@@ -6,6 +6,7 @@ Sections 1 to 5 of README.md in this folder; `Scheduler` adds what is started, a
 from __future__ import annotations
 
 from collections.abc import Sequence
+from heapq import heappush
 from typing import Any
 
 from pipeline.message import Message
@@ -27,7 +28,7 @@ class Streams:
         self._observer = observer or Observer()
         self._now = 0
         self._stopping = False
-        self._dirty: list[StageState] = []  #: stages to look at before the event is over
+        self._dirty: list[int] = []  #: stages to look at before the event is over: a heap
         wiring = wire(topology, self._drop, offline=offline)
         self._stages = wiring.stages
         self._by_name = {stage.node.name: stage for stage in self._stages}
@@ -195,7 +196,7 @@ class Streams:
         """Look at a stage again before this event is over."""
         if not stage.dirty:
             stage.dirty = True
-            self._dirty.append(stage)
+            heappush(self._dirty, stage.index)
 
     def _blocked(self, stage: StageState) -> bool:
         """An out edge with `policy: block` has no room for another result."""
