@@ -189,3 +189,29 @@ def test_a_dead_sensor_delays_output_by_one_period_and_max_wait_and_is_used_agai
         for stamp, at in arrived.items():
             if at > returned.at and _nearest(stamp, [a.stamp for a in alive]) is not None:
                 assert sets[stamp][1] is not None
+
+
+@every_scheduler
+def test_a_set_that_is_settled_in_the_instant_of_its_deadline_was_not_late(
+    scheduler: type[Scheduling],
+) -> None:
+    """At 16 the LiDAR passes the frame of 14 over; so no scores of 14 come to the pose of 10."""
+    frame, scan, pose, scores = Port("camera"), Port("lidar"), Port("odometry"), Port("net")
+    net = StageNode("net", (Input("frame", (frame,)), Input("scan", (scan,), Sync.EXACT)))
+    near = Input("scores", (scores,), Sync.NEAREST, tolerance=4, max_wait=6)
+    fuse = StageNode("fuse", (Input("pose", (pose,)), near))
+    sources = [StageNode(port.stage) for port in (frame, scan, pose)]
+    arrivals = [Arrival(s, port, s, s, s) for s, port in ((10, pose), (14, frame), (16, scan))]
+    script = Script(
+        Topology((*sources, net, fuse), workers=1),
+        tuple(arrivals),
+        {"net": Behavior(), "fuse": Behavior()},
+    )
+    trace = drive(script, scheduler)
+    lost = [
+        (row[0], *row[2:])
+        for row in trace.records("dropped")
+        if row[1] == "odometry/out->fuse/pose"
+    ]
+    assert lost == [(16, 10, "set_skipped")]
+    assert trace.records("stale") == []
