@@ -17,6 +17,7 @@ from tools.train.center_net import CenterNet  # noqa: E402
 from tools.train.center_targets import center_targets  # noqa: E402
 from tools.train.crops import Augmentation, Crop, Crops  # noqa: E402
 from tools.train.pictures import LabeledPicture  # noqa: E402
+from tools.train.recipes import DETECT_RGB, DETECT_THERMAL, DetectorRecipe  # noqa: E402
 from tools.train.residual_backbone import ResidualBackbone  # noqa: E402
 from tools.train.ssd import BASE, LEVELS, RATIOS, Ssd, match_anchors  # noqa: E402
 
@@ -129,3 +130,11 @@ def test_the_same_random_state_draws_the_same_crop() -> None:
     one, other = (crops.draw(np.random.default_rng([3, 4])) for _ in range(2))
     assert np.array_equal(one.pixels, other.pixels)
     assert np.array_equal(one.boxes, other.boxes)
+
+
+@pytest.mark.parametrize("recipe", [DETECT_RGB, DETECT_THERMAL], ids=lambda one: str(one.name))
+def test_a_crop_fits_into_the_image_and_divides_into_the_cells_of_every_level(
+    recipe: DetectorRecipe,
+) -> None:
+    assert recipe.side % 32 == 0
+    assert recipe.side / recipe.augmentation.zoom[0] <= min(recipe.size)
