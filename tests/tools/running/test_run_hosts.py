@@ -83,7 +83,7 @@ def assert_a_ground_station_comes_and_goes(start: Start) -> None:
     report = drone.report()
     assert report["ledger_balanced"]
     camera = report["outputs"]["camera/out"]
-    assert camera["longest_gap_ms"] < 2_000  # nothing of it held the drone back (generous)
+    assert camera["longest_gap_ms"] < 5_000  # nothing of it held the drone back (generous)
     assert balances(report["edges"]["camera/out->seen/message"])
 
 
@@ -127,4 +127,4 @@ def test_a_slow_cable_that_is_pulled_for_a_while_loses_messages_and_never_holds_
     assert book["dropped"]["lost_in_transport"] >= 15  # of the pulled cable alone
     report = drone.report()
     assert report["ledger_balanced"]
-    assert report["outputs"]["camera/out"]["longest_gap_ms"] < 2_000
+    assert report["outputs"]["camera/out"]["longest_gap_ms"] < 5_000
