@@ -165,8 +165,8 @@ class Wanted(Devices):
                 continue
             f, p = own.stamps[-1], own.period
             a = next(i.arrived for i in self._trigger(node).items if i.kept and i.s == f)
-            for wish in self._wishes(node):
+            for wish in [wish for wish in self._wishes(node) if self._reaches(wish, m)]:
                 ahead = [n for n in range(1, 17) if self._meets(wish, f + n * p, p, p)]
-                if ahead and self._reaches(wish, m):
+                if ahead:
                     due = min(due, a + ahead[0] * p)
         return due
