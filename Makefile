@@ -29,7 +29,7 @@ venv: .venv/installed  ## Make the virtual environment .venv with everything in 
 # The flight is the same for demo and demo-truth: the command finds it made and says so.
 FLIGHT := $(BIN)/overflight simulate demo -o out/flight.mcap
 
-demo: venv  ## Simulate a flight and run the paper's whole graph with its networks on it (5 minutes)
+demo: venv  ## Simulate a flight and run the paper's whole graph with its networks on it (3 to 5 minutes)
 	@echo "1 of 4: simulating 10 s of flight, 1 to 2 minutes (once: it is kept in out/flight.mcap)"
 	$(FLIGHT)
 	@echo "2 of 4: the whole graph offline, so that every frame counts, 1 to 2 minutes"
