@@ -17,6 +17,7 @@ from tools.profiling.profile_table import (
     name,
     number,
     sweep_note,
+    why_not_run,
 )
 
 #: Stages of less are left out of the bars, which say so.
@@ -209,11 +210,7 @@ def _points(sweep: Sequence[Mapping[str, Any]]) -> str:
     ran = [point for point in sweep if not point["failed"]]
     shown = {head: cell for head, cell in columns.items() if any(map(cell, ran))}
     rows = [[cell(point) for cell in shown.values()] for point in ran]
-    not_run = [
-        f"Not run: {name(point)} on {point['device'] or 'its devices'}: {point['failed']}."
-        for point in sweep
-        if point["failed"]
-    ]
+    not_run = [f"Not run: {why_not_run(point)}." for point in sweep if point["failed"]]
     notes = [*not_run, sweep_note(ran)]
     return f'<div class="card">{_table(list(shown), rows)}</div>' + "".join(
         f'<p class="dim">{escape(note)}</p>' for note in notes

@@ -89,13 +89,16 @@ def print_sweep(points: Sequence[Mapping[str, Any]], console: Console) -> None:
         console.print(table)
     for point in points:
         if point["failed"]:
-            text = (
-                f"not run: {name(point)} on {point['device'] or 'its devices'}: {point['failed']}"
-            )
+            text = f"not run: {why_not_run(point)}"
             console.print(text, style="yellow", highlight=False, soft_wrap=True)
     console.print(sweep_note(ran), style="dim", highlight=False)
     if any(point["emulated"] for point in points):
         console.print(EMULATED_NOTE, style="dim", highlight=False)
+
+
+def why_not_run(point: Mapping[str, Any]) -> str:
+    """What failed of a sweep, where, and why."""
+    return f"{name(point)} on {point['device'] or 'its devices'}: {point['failed']}"
 
 
 def sweep_note(ran: Sequence[Mapping[str, Any]]) -> str:

@@ -91,12 +91,7 @@ def _replay(
             graph, catalog = files.open(*faults)
         progress = None if quiet else stack.enter_context(_progress(recorded.graph))
         result = replay_flight(
-            graph,
-            catalog,
-            flight,
-            payload_codecs(graph),
-            feed=feed,
-            progress=progress,
+            graph, catalog, flight, payload_codecs(graph), feed=feed, progress=progress
         )
     replayed = graph.part(recorded.process)[0] if recorded.process else graph
     page = {**result.report}
