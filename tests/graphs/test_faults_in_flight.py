@@ -8,6 +8,7 @@ from typing import Any
 
 import psutil
 import pytest
+from driving import arrive
 
 from accelerators.registry import Registry
 from pipeline.drivers.run import Snapshot, run_graph
@@ -51,7 +52,7 @@ def fly(
         if len(told) >= times and not over_at_s:
             over_at_s.append(snapshot.elapsed_s + 1)
         if over_at_s and snapshot.elapsed_s > over_at_s[0]:
-            ctrl_c()
+            arrive(signal.SIGINT)
 
     report = run_graph(graph, catalog, duration_s=AT_MOST_S, progress=tick).report
     assert report["ledger_balanced"]
@@ -61,13 +62,6 @@ def fly(
         assert report["outputs"][f"{name}/out"]["longest_gap_ms"] <= TIMEOUT_MS + PERIOD_MS, name
     assert psutil.Process().children() == []
     return report
-
-
-def ctrl_c() -> None:
-    """What Python calls for SIGINT, without the signal."""
-    handler = signal.getsignal(signal.SIGINT)
-    assert callable(handler)
-    handler(signal.SIGINT, None)
 
 
 def story(report: Any) -> list[str]:

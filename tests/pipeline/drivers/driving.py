@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -141,3 +142,14 @@ def drive(
     with nullcontext() if recorder is None else recorder.writing(statistics.profiler):
         ended = driver.run(duration_s, (lambda: during(driver)) if during else (lambda: None))
     return Ran(scheduler, statistics, time.monotonic() - started, ended)
+
+
+def arrive(number: signal.Signals) -> None:
+    """Call what Python calls when the signal arrives.
+
+    A real one would kill a test process in which a network has used the AMX unit of its CPU on this
+    thread: the kernel of some virtual machines cannot save its state for a handler.
+    """
+    handler = signal.getsignal(number)
+    assert callable(handler)
+    handler(number, None)

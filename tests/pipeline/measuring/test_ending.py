@@ -5,24 +5,13 @@ import threading
 from collections.abc import Iterator
 
 import pytest
-from driving import Apply, beat, drive
+from driving import Apply, arrive, beat, drive
 
 from pipeline.measuring.ending import Ended, stopped_by_signals
 from pipeline.message import Message
 from pipeline.scheduling.topology import Input, Port, StageNode
 
 NODES = [StageNode("source"), StageNode("work", (Input("x", (Port("source"),)),), outputs=())]
-
-
-def arrive(number: signal.Signals) -> None:
-    """Call what Python calls when the signal arrives.
-
-    A real one would kill a test process in which a network has used the AMX unit of its CPU on this
-    thread: the kernel of some virtual machines cannot save its state for a handler.
-    """
-    handler = signal.getsignal(number)
-    assert callable(handler)
-    handler(number, None)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
