@@ -74,7 +74,8 @@ def test_a_slow_reader_gets_the_latest_loses_its_own_by_count_and_delays_no_othe
         until(lambda: slow.arrivals[-1].envelope.number == 30)  # the news that repeat
         assert len(slow.messages) + slow.lost == 30
         assert slow.messages[-1].payload.label == "29"
-        assert 1 <= len(slow.messages) <= 3
+        # One in its hand and those that wait; between hosts the courier has two more under way.
+        assert 1 <= len(slow.messages) <= 1 + channel.depth + (0 if local else 2)
         assert (books(subscriber).received, books(subscriber).lost) == (
             len(slow.messages),
             slow.lost,

@@ -22,7 +22,7 @@ CHANNEL = Channel("test/camera/out", "camera/out", PayloadSchema.of([Box]))
 
 
 def until(condition: Callable[[], Any]) -> None:
-    """Wait for what another thread does; fails after 20 s."""
+    """Wait for what another thread does; fails after a minute."""
     end = time.monotonic() + 60
     while not condition():
         assert time.monotonic() < end
