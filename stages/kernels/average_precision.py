@@ -44,20 +44,27 @@ def match(
     """
     order = np.argsort(-scores, kind="stable")
     boxes, scores = boxes[order], scores[order]
-    shared = overlaps(boxes, objects)
-    union = areas(boxes)[:, None] + areas(objects)[None, :] - shared
-    iou = shared / np.maximum(union, 1e-9)
-    hits = np.zeros(len(boxes), dtype=np.bool_)
-    for number in range(len(boxes)):
-        if not len(objects):
-            break
-        best = int(np.argmax(iou[number]))
-        if iou[number, best] >= min_iou:
-            hits[number] = True
-            iou[:, best] = -1
+    hits = assigned(boxes, objects, min_iou) >= 0
     inside = overlaps(boxes, ignored).max(axis=1, initial=0) >= 0.5 * areas(boxes)
     counted = hits | ~inside
     return FrameHits(scores[counted], hits[counted], len(objects))
+
+
+def assigned(
+    boxes: NDArray[np.float32], objects: NDArray[np.float32], min_iou: float = 0.5
+) -> NDArray[np.int64]:
+    """(n,) which object each of the boxes (n, 4) finds, in their order: the free one that it
+    overlaps most, from `min_iou` on; -1 where it finds none."""
+    shared = overlaps(boxes, objects)
+    union = areas(boxes)[:, None] + areas(objects)[None, :] - shared
+    iou = shared / np.maximum(union, 1e-9)
+    found = np.full(len(boxes), -1, dtype=np.int64)
+    for number in range(len(boxes) if len(objects) else 0):
+        best = int(np.argmax(iou[number]))
+        if iou[number, best] >= min_iou:
+            found[number] = best
+            iou[:, best] = -1
+    return found
 
 
 def average_precision(frames: Sequence[FrameHits]) -> float:

@@ -9,12 +9,14 @@ from typing import Protocol
 import numpy as np
 
 from stages.simulation.bicycles import bicycle
-from stages.simulation.mesh import Array, Mesh, standing
+from stages.simulation.mesh import Array, Color, Mesh, standing
 from stages.simulation.persons import Build, limbs, riding, walking
 from stages.simulation.streets import KERB_M, ROAD_M, Grid
 from stages.simulation.things import Things
 from stages.simulation.trajectory import Flight
 from stages.simulation.vehicles import PAINTS, car
+
+VEST: Color = (0.80, 0.26, 0.01)  #: signal orange
 
 
 class Actor(Protocol):
@@ -158,7 +160,7 @@ def new_operator(
     things: Things, random: np.random.Generator, grid: Grid, flight: Flight
 ) -> Operator:
     """The operator, in a signal-orange vest."""
-    build = Build.draw(random, shirt=(0.80, 0.26, 0.01))
+    build = Build.draw(random, shirt=VEST)
     return Operator(limbs(things.new("person"), build), build, flight, grid)
 
 

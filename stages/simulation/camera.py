@@ -36,6 +36,8 @@ _SKY_RAY_M = 5.0
 _SUN = (2.55, 2.32, 1.95)
 _SKY = (0.62, 0.78, 1.05)
 _GROUND = (0.26, 0.24, 0.20)  #: what the ground throws back up
+_DUST = (0.80, 0.70, 0.56)  #: sunlit
+DUST_TOP_M = 30.0  #: the dust lies so deep: what a ray to the sky passes of it
 
 
 @compiled
@@ -92,6 +94,7 @@ def render(
     sun: NDArray[np.float32],
     salt: int,
     noise: float,
+    dust: float,
     color: NDArray[np.uint8],
     depth: NDArray[np.float32],
     things: NDArray[np.uint16],
@@ -99,7 +102,7 @@ def render(
     """Fill `color` (h, w, 3), `depth` (h, w; z in m, 0 for the sky) and `things` (h, w).
 
     `intrinsics` are fx fy cx cy (further ones are not used: the images are rectified);
-    `noise` scales the sensor's noise; `salt` seeds it.
+    `noise` scales the sensor's noise; `salt` seeds it; `dust` is its extinction per m.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
@@ -122,6 +125,7 @@ def render(
                     continue
                 open_sky = shadow.triangle[k] == NOTHING
                 r, g, b = _radiance(hits, rays, k, look, sun, sunlit[k], open_sky, 1.0 / fx)
+                r, g, b = _through_dust(hits, rays, k, dust, r, g, b)
                 x, y = (column - cx) / fx, (row - cy) / fy
                 vignette = 1.0 / (1.0 + 0.22 * (x * x + y * y))
                 bits = scrambled(row, column, salt)
@@ -274,3 +278,15 @@ def _radiance(
         r, g, b = r + mirror * sr, g + mirror * sg, b + mirror * sb
     haze = 1.0 - math.exp(-distance / 420.0)
     return r + (0.86 - r) * haze, g + (0.92 - g) * haze, b + (1.0 - b) * haze
+
+
+@compiled
+def _through_dust(
+    hits: Hits, rays: NDArray[np.float32], k: int, dust: float, r: float, g: float, b: float
+) -> Any:
+    """The radiance (r, g, b) of ray `k`, dimmed and lit by the dust on its way."""
+    distance = float(rays[T, k])
+    if hits.surface[k] == NOTHING:
+        distance = min(FAR_M, DUST_TOP_M / max(float(rays[DZ, k]), 0.02))
+    veil = 1.0 - math.exp(-dust * distance)
+    return r + (_DUST[0] - r) * veil, g + (_DUST[1] - g) * veil, b + (_DUST[2] - b) * veil

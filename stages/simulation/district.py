@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from stages.simulation import furniture, plants
 from stages.simulation.actors import (
+    VEST,
     Cast,
     ground_height,
     new_cyclist,
@@ -26,7 +27,8 @@ from stages.simulation.bicycles import bicycle
 from stages.simulation.buildings import house
 from stages.simulation.materials import Material
 from stages.simulation.mesh import Array, Color, Mesh, Surface, standing, turned
-from stages.simulation.persons import Build, limbs, walking
+from stages.simulation.persons import Build, limbs, lying, walking
+from stages.simulation.ruins import rubble, ruin
 from stages.simulation.scene import Model
 from stages.simulation.streets import (
     KERB_M,
@@ -44,6 +46,7 @@ from stages.simulation.vehicles import KINDS, PAINTS, car, fire_truck
 
 BLOCKS = 6  #: per side
 NEAR_M = 90.0  #: detail (plants, cars, furniture) is placed this near to the route
+RUINED = 0.45  #: share of the houses along the route of a disaster site
 
 _LAWN = Surface(Material.LAWN, (0.105, 0.165, 0.04))
 _YARD = Surface(Material.GRAVEL, (0.33, 0.30, 0.25))
@@ -67,14 +70,20 @@ class District:
 
 
 def build_district(
-    seed: int, duration_s: float, speed_m_s: float, height_m: tuple[float, float], body: str
+    seed: int,
+    duration_s: float,
+    speed_m_s: float,
+    height_m: tuple[float, float],
+    body: str,
+    site: str = "district",
 ) -> District:
-    """The district, actors and flight of a seed; the vehicle's `body` is an aircraft or none."""
+    """The district, actors and flight of a seed; the vehicle's `body` is an aircraft or none, the
+    `site` a district or, after a disaster, what is left of it."""
     random = np.random.default_rng([seed, 0xD157])
     grid = Grid.draw(random, BLOCKS)
     route = Route.draw(random, grid, duration_s * speed_m_s * 1.1)
     flight = Flight.fly(random, route, duration_s, speed_m_s, height_m)
-    builder = _Builder(random, grid, route)
+    builder = _Builder(random, grid, route, wrecked=site == "disaster")
     builder.blocks()
     builder.parked_cars()
     builder.sidewalks()
@@ -98,8 +107,11 @@ def build_district(
 class _Builder:
     """The district while it grows."""
 
-    def __init__(self, random: np.random.Generator, grid: Grid, route: Route) -> None:
+    def __init__(
+        self, random: np.random.Generator, grid: Grid, route: Route, *, wrecked: bool = False
+    ) -> None:
         self.random = random
+        self.wrecked = wrecked
         self.grid = grid
         self.route = route
         self.still = Mesh()
@@ -156,14 +168,20 @@ class _Builder:
                 x, y = middle + inward * (front + depth / 2)
                 yaw = k * np.pi / 2
                 floors = int(random.integers(2, 5))
-                building = house(self.things.new("building"), random, width, depth, floors)
-                self.put(building, x, y, yaw)
+                self.put(self._building(middle, width, depth, floors), x, y, yaw)
                 if self.near(*middle) < NEAR_M:
                     self._front_garden(middle + inward * SIDEWALK_M, along, inward, width, setback)
                     rear = middle + inward * (front + depth + random.uniform(2.5, 4.0))
                     if random.random() < 0.6:
                         self._tree(rear[0], rear[1], conifers=0.3)
                 at += width + (0.05 if row else random.uniform(2.0, 5.0))
+
+    def _building(self, front: Array, width: float, depth: float, floors: int) -> Mesh:
+        """A house, or after a disaster near the route often a ruin."""
+        thing = self.things.new("building")
+        if self.wrecked and self.near(*front) < NEAR_M / 2 and self.random.random() < RUINED:
+            return ruin(thing, self.things.new("object"), self.random, width, depth, floors)
+        return house(thing, self.random, width, depth, floors)
 
     def _front_garden(
         self, edge: Array, along: Array, inward: Array, width: float, setback: float
@@ -251,6 +269,8 @@ class _Builder:
         warm = bool(random.random() < 0.15)
         mesh = car(self.things.new("vehicle"), kind, paint, random.random(), warm=warm)
         turn = random.normal(0, 0.02) + (np.pi if random.random() < 0.15 else 0.0)
+        if self.wrecked:  # left in haste, or pushed aside
+            turn += random.normal(0, 0.12)
         # Europe parks with the traffic: the kerb to the right.
         self.put(mesh, x, y, yaw + np.pi + turn)
 
@@ -303,6 +323,8 @@ class _Builder:
         """Standing persons, bicycles and barriers on both sides of the route."""
         random = self.random
         kinds = ("bicycles", "group", "bicycles", "group", "barriers")
+        if self.wrecked:
+            kinds = ("rubble", "group", "barriers", "rubble", "group")
         for k, distance in enumerate(np.arange(-6.0, self.route.length_m + 26.0, 5.5)):
             (point,), (direction,) = self.route.at(distance + random.uniform(-1.5, 1.5))
             side = turned(direction[None], np.pi / 2)[0] * random.choice([-1.0, 1.0])
@@ -312,6 +334,8 @@ class _Builder:
                 self._bicycles(point + side * (ROAD_M / 2 + 1.0), direction, yaw)
             elif kind == "group":
                 self._group(point + side * (ROAD_M / 2 + random.uniform(0.8, 1.2)))
+            elif kind == "rubble":
+                self._rubble(point + side * (ROAD_M / 2 - random.uniform(0.0, 1.0)))
             elif self._off_crossings(float(point[0]), float(point[1]), 4.0):
                 x, y = point + side * (ROAD_M / 2 - 1.2)
                 if self.free(x, y, 2.4):
@@ -319,6 +343,28 @@ class _Builder:
                         u, v = (x, y) + direction * 2.1 * n + side * 0.4 * abs(n)
                         piece = furniture.barrier(self.things.new("barrier"))
                         self.put(piece, u, v, yaw + n * 0.25)
+
+    def _rubble(self, at: Array) -> None:
+        """A heap at the kerb, and now and then a person who lies beside it."""
+        random = self.random
+        x, y = at
+        radius = random.uniform(1.1, 2.0)
+        if not self.free(x, y, radius):
+            return
+        self.put(rubble(self.things.new("object"), random, radius, 0.55 * radius), x, y)
+        if random.random() < 0.4:
+            angle = random.uniform(0, 2 * np.pi)
+            u, v = at + (radius + 0.9) * np.array([np.cos(angle), np.sin(angle)])
+            if self.free(u, v, 0.8):
+                self._lying_person(u, v)
+
+    def _lying_person(self, x: float, y: float) -> None:
+        random = self.random
+        build = Build.draw(random)
+        base = standing(x, y, random.uniform(0, 2 * np.pi), ground_height(self.grid, x, y))
+        poses = base @ lying(build, random)
+        for part, pose in zip(limbs(self.things.new("person"), build), poses, strict=True):
+            self.still.insert(part, pose)
 
     def _bicycles(self, at: Array, along: Array, yaw: float) -> None:
         random = self.random
@@ -343,7 +389,8 @@ class _Builder:
             x, y = at + 0.55 * np.array([np.cos(angle), np.sin(angle)])
             if not self._on_sidewalk(x, y) or not self.free(x, y, 0.3):
                 continue
-            build = Build.draw(random)
+            vest = VEST if self.wrecked and k == 0 else None  # one of them is of the rescuers
+            build = Build.draw(random, shirt=vest)
             base = standing(x, y, angle + np.pi, ground_height(self.grid, x, y))
             poses = base @ walking(build, random.uniform(0, 6.28), stride=0.15)
             for part, pose in zip(limbs(self.things.new("person"), build), poses, strict=True):

@@ -30,6 +30,7 @@ def sweep(
     max_m: float,
     full_m: float,
     noise_m: float,
+    dust: float,
     salt: int,
     ranges: NDArray[np.float32],
     reflectivity: NDArray[np.float32],
@@ -41,7 +42,8 @@ def sweep(
     `world_from_column` (columns, 3, 4) is the sensor's pose at each column's time; rays leave
     along `azimuths` (columns,) and `elevations` (rows,), rad. `full_m` is where a head-on target
     of 10 % reflectivity is detected half the time: further out, at grazing angles and on glass
-    returns are lost. A range of 0 is no return; its thing is 0.
+    returns are lost, and in dust, whose extinction per m is `dust`. A range of 0 is no return; its
+    thing is 0.
     """
     rows = ranges.shape[0]
     rays = packet.rays
@@ -73,6 +75,7 @@ def sweep(
                 distance = float(rays[T, k])
                 shine, facing = _returned(hits, k, scene.look)
                 strength = shine * (0.1 + 0.9 * facing) / 0.1 * (full_m / max(distance, 1.0)) ** 2
+                strength *= math.exp(-2.0 * dust * distance)
                 found = strength**3 / (strength**3 + 1.0)  # lost over a narrow band of strengths
                 if chance(row, column, salt) > found or distance < min_m:
                     continue

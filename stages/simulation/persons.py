@@ -109,6 +109,18 @@ def walking(build: Build, phase: float, stride: float = 1.0) -> Array:
     return _pose(build, build.hip_m - lower, 0.03, hips, knees, arms, np.full(2, elbows))
 
 
+def lying(build: Build, random: np.random.Generator) -> Array:
+    """Poses (PARTS, 4, 4) of the limbs of a person who lies on the back, the head toward -x, arms
+    and legs at random; the hip is over the origin."""
+    hips, arms = random.uniform(0.0, 0.6, 2), -random.uniform(0.0, 0.2, 2)
+    knees, elbows = 2 * hips, -random.uniform(0.0, 0.5, 2)  # a drawn-up leg has its foot down
+    upright = _pose(build, 0.0, 0.0, hips, knees, arms, elbows)
+    down = np.eye(4)
+    down[:3, :3] = [[0, 0, -1], [0, 1, 0], [1, 0, 0]]  # up becomes backward, ahead becomes up
+    down[2, 3] = 0.13 * build.height_m / 1.75  # as deep as a trunk is
+    return np.asarray(down @ upright)
+
+
 def riding(build: Build, phase: float) -> Array:
     """Poses (PARTS, 4, 4) of the limbs on a bicycle's saddle; `phase` turns the pedals."""
     turn = np.sin(phase + np.array([0.0, np.pi]))

@@ -40,6 +40,8 @@ from stages.simulation.truth import visible_boxes
 from stages.types import DepthImage, Image, Pose, Scan
 
 _MS = 1_000_000
+#: Extinction per meter times the visibility: where a black target has 2 % of its contrast left.
+KOSCHMIEDER = 3.912
 #: Moving things are put in their places so often during a sweep: a car at 9 m/s is then at most
 #: 6 cm from where it was at a column's time.
 _SCENES_PER_SWEEP = 8
@@ -72,7 +74,8 @@ class Simulation:
         self.preset = preset
         self.rig = load_rig(preset, folder)
         self.district: District = build_district(
-            preset.seed, preset.duration_s, preset.speed_m_s, preset.height_m, self.rig.body
+            *(preset.seed, preset.duration_s, preset.speed_m_s, preset.height_m),
+            *(self.rig.body, preset.site),
         )
 
     def exposures(self) -> Sequence[Exposure]:
@@ -136,7 +139,7 @@ class Simulation:
         intrinsics = camera.intrinsics()
         render(
             *(district.at(turn.time_ns), *packets, pose, intrinsics, district.sun),
-            *(salt, spec.noise, color, depth, things),
+            *(salt, spec.noise, self._dust, color, depth, things),
         )
         stereo = spec.depth
         counts = np.empty((height, width), dtype=np.uint16)
@@ -168,7 +171,7 @@ class Simulation:
         intrinsics = camera.intrinsics()
         counts, things = thermal_image(
             *(scene, pose, intrinsics, camera.size, district.sun),
-            *(self.preset.seed, turn.frame, spec.netd_k),
+            *(self.preset.seed, turn.frame, spec.netd_k, self._dust),
         )
         yield self._sample(sensor.name, turn, Image(_locked(counts), sensor.name))
         yield from self._truth(sensor.name, turn, things)
@@ -192,7 +195,7 @@ class Simulation:
             sweep(
                 *(scene, packet, hits, first, last, world_from_column.astype(np.float32)),
                 *(azimuths, elevations, spec.min_m, spec.max_m, spec.full_m, spec.noise_m),
-                *(self._salt(turn), ranges, reflectivity, things),
+                *(self._dust, self._salt(turn), ranges, reflectivity, things),
             )
         scan = Scan(
             points=_locked(_unprojected(ranges, azimuths, elevations)),
@@ -232,6 +235,12 @@ class Simulation:
         map_from_base = self.district.flight.at(np.array([time_ns]))[0]
         pose = map_from_base @ sensor.calibration.base_from_sensor
         return np.ascontiguousarray(pose[:3], dtype=np.float32)
+
+    @property
+    def _dust(self) -> float:
+        """Extinction of the air, per m."""
+        seen_m = self.preset.visibility_m
+        return 0.0 if seen_m is None else KOSCHMIEDER / seen_m
 
     def _salt(self, turn: Exposure) -> int:
         """What makes the noise of every sample its own."""

@@ -139,6 +139,10 @@ class Preset(_Spec):
     scale: float = Field(1.0, gt=0, le=1)  #: of every sensor's resolution
     pose_noise_m: float = Field(0.0, ge=0)  #: of the poses that the vehicle reports
     pose_noise_deg: float = Field(0.0, ge=0)
+    site: Literal["district", "disaster"] = "district"
+    #: How far one sees through dust, m; None: clear air. Every sensor's light is dimmed alike, as
+    #: by particles that are coarse to all of them; the dust itself gives the LiDAR no returns.
+    visibility_m: float | None = Field(None, gt=0)
     true_map: bool = True  #: whether to record the true map: of a long flight a third of the time
 
 

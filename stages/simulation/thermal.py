@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.kernels.compiled import compiled
-from stages.simulation.camera import aim_at_sun, aim_through_pixels
+from stages.simulation.camera import DUST_TOP_M, FAR_M, aim_at_sun, aim_through_pixels
 from stages.simulation.hits import FACING, LX, LY, LZ, NX, NY, NZ, Hits, U, V, resolve
 from stages.simulation.materials import MATERIALS, Material
 from stages.simulation.noise import chance, fractal_noise
@@ -33,11 +33,12 @@ def thermal_image(
     seed: int,
     frame: int,
     netd_k: float,
+    dust: float,
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
     """Counts (h, w) of 0.01 K and the things (h, w) behind them.
 
     `netd_k` is the noise of a pixel, K; a fixed pattern of columns and pixels, from the `seed`
-    alone, is half as strong.
+    alone, is half as strong. `dust` is the extinction of the air, per m.
     """
     width, height = size
     celsius = np.empty((height, width), dtype=np.float32)
@@ -53,6 +54,7 @@ def thermal_image(
         world_from_camera,
         intrinsics,
         sun,
+        dust,
         celsius,
         things,
     )
@@ -77,6 +79,7 @@ def _radiate(
     world_from_camera: NDArray[np.float32],
     intrinsics: NDArray[np.float64],
     sun: NDArray[np.float32],
+    dust: float,
     celsius: NDArray[np.float32],
     things: NDArray[np.uint16],
 ) -> None:
@@ -96,7 +99,12 @@ def _radiate(
                 if row >= height or column >= width:
                     continue
                 lit = shadow.triangle[k] == NOTHING
-                celsius[row, column] = _temperature(hits, rays, k, scene.look, sun, lit, 1.0 / fx)
+                seen = _temperature(hits, rays, k, scene.look, sun, lit, 1.0 / fx)
+                distance = float(rays[T, k])
+                if hits.surface[k] == NOTHING:
+                    distance = min(FAR_M, DUST_TOP_M / max(float(rays[DZ, k]), 0.02))
+                # Dust is as warm as the air that carries it.
+                celsius[row, column] = seen + (AIR_C - seen) * (1.0 - math.exp(-dust * distance))
                 things[row, column] = hits.thing[k]
 
 

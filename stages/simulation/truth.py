@@ -20,18 +20,24 @@ MIN_PIXELS = 24
 
 def visible_boxes(labels: Labels) -> Detections:
     """The boxes around the visible pixels of every person, rider, bicycle and vehicle."""
+    return visible_things(labels)[0]
+
+
+def visible_things(labels: Labels) -> tuple[Detections, NDArray[np.int64]]:
+    """The same, and the thing (n,) that each box is around."""
     taxonomy = load_taxonomy()
     boxed = np.zeros(256, dtype=np.bool_)
     boxed[[taxonomy.id(name) for name in BOXED]] = True
     count = int(labels.instances.max(initial=0)) + 1
     extents, pixels, classes = _extents(labels.instances, labels.classes, count)
     keep = boxed[classes] & (pixels >= MIN_PIXELS)
-    return Detections(
+    boxes = Detections(
         boxes=extents[keep].astype(np.float32),
         classes=classes[keep].astype(np.int64),
         scores=np.ones(int(keep.sum()), dtype=np.float32),
         camera=labels.sensor,
     )
+    return boxes, np.flatnonzero(keep)
 
 
 @compiled

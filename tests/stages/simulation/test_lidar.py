@@ -18,7 +18,7 @@ ELEVATIONS = np.radians(np.linspace(10, -60, 24))
 
 
 def scanned(
-    surface: Surface, heights: NDArray[np.float64], noise_m: float = 0.0
+    surface: Surface, heights: NDArray[np.float64], noise_m: float = 0.0, dust: float = 0.0
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint16]]:
     """A sweep over a wide plane at z = 0, the sensor at a height (m) per column."""
     mesh = Mesh()
@@ -29,7 +29,7 @@ def scanned(
     things = np.empty((24, 64), dtype=np.uint16)
     sweep(
         *(Model.of(mesh, []).scene, Packet.new(), Hits.new(), 0, 64, poses, AZIMUTHS, ELEVATIONS),
-        *(0.3, 50.0, 400.0, noise_m, 11, ranges, shine, things),
+        *(0.3, 50.0, 400.0, noise_m, dust, 11, ranges, shine, things),
     )
     return ranges, shine, things
 
@@ -58,3 +58,12 @@ def test_bright_ground_shines_brighter_than_asphalt() -> None:
     lawn = scanned(Surface(Material.LAWN), heights)[1]
     road = scanned(Surface(Material.ASPHALT), heights)[1]
     assert np.median(lawn[-6:]) > 2 * np.median(road[-6:])
+
+
+def test_dust_swallows_far_returns_and_leaves_near_ones() -> None:
+    heights = np.full(64, 3.0)
+    clear, _, _ = scanned(Surface(Material.PLAIN), heights)
+    dusty, _, _ = scanned(Surface(Material.PLAIN), heights, dust=0.15)
+    near, far = (clear > 0) & (clear < 6.0), clear > 25.0
+    assert (dusty[near] == clear[near]).all()
+    assert np.count_nonzero(dusty[far]) < 0.5 * np.count_nonzero(far)
