@@ -50,7 +50,10 @@ def bench(
         bool, typer.Option("--quick", help="Every row in a few seconds; no figure to rely on.")
     ] = False,
     seconds: Annotated[
-        float | None, typer.Option(min=1, help="How long `emulated` runs the graph: 60, quick 10.")
+        float | None,
+        typer.Option(
+            metavar="SECONDS", min=1, help="How long `emulated` runs the graph: 60, quick 10."
+        ),
     ] = None,
 ) -> None:
     """Measure the figures of BENCHMARK.md: medians, beside a floor or peer of the same run."""

@@ -18,6 +18,11 @@ app = typer.Typer(
 )
 
 
+def examples(*lines: str) -> str:
+    """The end of a command's help: what one may type, a line each."""
+    return "\n".join(["Examples:" if len(lines) > 1 else "Example:", *lines])
+
+
 def emit(text: str, output: Path | None) -> None:
     """Print the text, or write it to a file."""
     if output is None:

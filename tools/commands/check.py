@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import RUN_FAILED, app
+from tools.commands.app import RUN_FAILED, app, examples
 from tools.commands.options import (
     AsJson,
     GraphFile,
@@ -20,8 +20,10 @@ from tools.commands.options import (
 
 
 @app.command(
-    epilog="Examples: overflight check graphs/drive.yaml --on my_drive --overlay limits.yaml. "
-    "overflight check uav.yaml --on flight=field.mcap --duration 60 --json"
+    epilog=examples(
+        "overflight check graphs/drive.yaml --on my_drive --overlay limits.yaml",
+        "overflight check uav.yaml --on flight=field.mcap --duration 60 --json",
+    )
 )
 def check(
     graph: GraphFile,

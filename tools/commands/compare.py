@@ -7,14 +7,16 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import RUN_FAILED, app, complain
+from tools.commands.app import RUN_FAILED, app, complain, examples
 from tools.commands.options import AsJson, GraphFile, ModelFiles, Out, Overlays, Settings
 
 
 @app.command(
-    epilog="Examples: overflight compare graphs/drive.yaml --b devices.ov.precision=bf16. "
-    "overflight compare graph.yaml --a stages.segment_rgb.executor=cpu "
-    "--b stages.segment_rgb.executor=igpu --report swap.json"
+    epilog=examples(
+        "overflight compare graphs/drive.yaml --b devices.ov.precision=bf16",
+        "overflight compare graph.yaml --a stages.segment_rgb.executor=cpu --b "
+        "stages.segment_rgb.executor=igpu",
+    )
 )
 def compare(
     graph: GraphFile,

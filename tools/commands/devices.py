@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from tools.commands.app import app
+from tools.commands.app import app, examples
 from tools.commands.options import AsJson
 
 
-@app.command(epilog="Example: overflight devices --json")
+@app.command(epilog=examples("overflight devices --json"))
 def devices(as_json: AsJson = False) -> None:
     """List what this machine can run models on, and what to install for the rest."""
     from tools.devices import print_devices

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import typer
 
-from tools.commands.app import RUN_FAILED, app
+from tools.commands.app import RUN_FAILED, app, examples
 from tools.commands.options import AsJson, GraphFile, ModelFiles, Out, Overlays, Settings
 
 
-@app.command(epilog="Example: overflight doctor graphs/drive.yaml --models my_models.yaml")
+@app.command(epilog=examples("overflight doctor graphs/drive.yaml --models my_models.yaml"))
 def doctor(
     graph: GraphFile,
     settings: Settings = None,

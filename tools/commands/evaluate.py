@@ -7,16 +7,18 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import app
+from tools.commands.app import app, examples
 from tools.commands.options import AsJson
 from tools.tables.names import PaperFigure, PaperTable
 
 
 @app.command(
-    epilog="Examples: overflight evaluate out/labels --truth sequences/00 --truth-labels "
-    "semantickitti. overflight evaluate out/map.ply --truth annotated.ply --groups paper. "
-    "overflight evaluate out/map.ply (how sharp it is). overflight evaluate --table 5 --quick (the "
-    "paper's tables on simulated flights: 3, 4, 5, 6; or 'real')."
+    epilog=examples(
+        "overflight evaluate out/labels --truth sequences/00 --truth-labels semantickitti",
+        "overflight evaluate out/map.ply --truth annotated.ply --groups paper",
+        "overflight evaluate out/map.ply",
+        "overflight evaluate --table 5 --quick",
+    )
 )
 def evaluate(
     prediction: Annotated[
@@ -129,10 +131,14 @@ def evaluate(
     out: Annotated[
         Path, typer.Option(metavar="FOLDER", help="Of a --table: flights, networks, rows.")
     ] = Path("out/tables"),
-    seeds: Annotated[int, typer.Option(min=1, help="Of a --table: trainings of each row.")] = 3,
+    seeds: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Of a --table: trainings of each row.")
+    ] = 3,
     steps: Annotated[
         int | None,
-        typer.Option(min=1, help="Of a --table: of each training.", show_default="the scale's"),
+        typer.Option(
+            metavar="N", min=1, help="Of a --table: of each training.", show_default="the scale's"
+        ),
     ] = None,
     quick: Annotated[
         bool,
@@ -142,7 +148,7 @@ def evaluate(
         Path,
         typer.Option(metavar="FOLDER", help="Of --table real: recordings and public networks."),
     ] = Path("../shared"),
-    threads: Annotated[int, typer.Option(min=1, help="Of torch, in a --table.")] = 1,
+    threads: Annotated[int, typer.Option(metavar="N", min=1, help="Of torch, in a --table.")] = 1,
     as_json: AsJson = False,
 ) -> None:
     """Judge labels, masks or a map against the truth: IoU by class, and a map's sharpness."""

@@ -7,14 +7,15 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import app
+from tools.commands.app import app, examples
 from tools.commands.options import AsJson, ModelFiles
 
 
 @app.command(
     name="evaluate-detections",
-    epilog="Example: overflight evaluate-detections detect-thermal --images annotated/ --pictures "
-    "out/boxes",
+    epilog=examples(
+        "overflight evaluate-detections detect-thermal --images annotated/ --pictures out/boxes"
+    ),
 )
 def judge_detections(
     model: Annotated[

@@ -7,13 +7,15 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import app
+from tools.commands.app import app, examples
 from tools.commands.options import AsJson
 
 
 @app.command(
-    epilog="Examples: overflight explain flight.mcap --stage fuse_cloud. "
-    "overflight explain flight.mcap --stage fuse_cloud --at 12.3 --picture trigger.svg"
+    epilog=examples(
+        "overflight explain flight.mcap --stage fuse_cloud",
+        "overflight explain flight.mcap --stage fuse_cloud --at 12.3 --picture trigger.svg",
+    )
 )
 def explain(
     flight: Annotated[

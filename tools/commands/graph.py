@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import app, emit
+from tools.commands.app import app, emit, examples
 from tools.commands.options import GraphFile, ModelFiles, Overlays, Settings
 
 
@@ -20,7 +20,7 @@ class Drawing(StrEnum):
     SVG = "svg"
 
 
-@app.command(name="graph", epilog="Example: overflight graph graphs/drive.yaml -o drive.svg")
+@app.command(name="graph", epilog=examples("overflight graph graphs/drive.yaml -o drive.svg"))
 def draw(
     graph: GraphFile,
     settings: Settings = None,

@@ -6,13 +6,11 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import app
+from tools.commands.app import app, examples
 from tools.commands.options import AsJson
 
 
-@app.command(
-    epilog="Example: overflight inspect detect, or my_stages:MyStage of the working folder"
-)
+@app.command(epilog=examples("overflight inspect detect", "overflight inspect my_stages:MyStage"))
 def inspect(
     stage: Annotated[
         str,

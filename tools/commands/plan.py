@@ -7,14 +7,16 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import RUN_FAILED, app
+from tools.commands.app import RUN_FAILED, app, examples
 from tools.commands.options import AsJson, GraphFile, ModelFiles, Overlays, Settings
 
 
 @app.command(
-    epilog="Examples: overflight profile graphs/emulated_uav.yaml --save-costs costs.yaml, then "
-    "overflight plan graphs/emulated_uav.yaml --costs costs.yaml --picture schedule.svg. "
-    "overflight plan uav.yaml --max-cpu 1.5 --min-rate semantic_map=9 --json"
+    epilog=examples(
+        "overflight profile graphs/emulated_uav.yaml --save-costs costs.yaml",
+        "overflight plan graphs/emulated_uav.yaml --costs costs.yaml --picture schedule.svg",
+        "overflight plan uav.yaml --max-cpu 1.5 --min-rate semantic_map=9 --json",
+    )
 )
 def plan(
     graph: GraphFile,
@@ -62,8 +64,10 @@ def plan(
             show_default="the file's expect block",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Another draw of all times.")] = 0,
-    top: Annotated[int, typer.Option(min=1, help="How many assignments the table shows.")] = 10,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Another draw of all times.")] = 0,
+    top: Annotated[
+        int, typer.Option(metavar="N", min=1, help="How many assignments the table shows.")
+    ] = 10,
     picture: Annotated[
         Path | None,
         typer.Option(

@@ -7,14 +7,17 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import RUN_FAILED, app, complain
+from tools.commands.app import RUN_FAILED, app, complain, examples
 from tools.commands.options import AsJson, GraphFile, ModelFiles, Out, Overlays, Settings
 
 
 @app.command(
-    epilog="Examples: overflight profile graphs/emulated_uav.yaml --html profile.html. "
-    "overflight profile graphs/drive.yaml --sweep executor --sweep rate_hz=1,2,5,10,15 "
-    "--plot load.svg. overflight profile graph.yaml --sweep executor --save-costs costs.yaml"
+    epilog=examples(
+        "overflight profile graphs/emulated_uav.yaml --html profile.html",
+        "overflight profile graphs/drive.yaml --sweep executor --sweep rate_hz=1,2,5,10,15 "
+        "--plot load.svg",
+        "overflight profile graph.yaml --sweep executor --save-costs costs.yaml",
+    )
 )
 def profile(
     graph: GraphFile,

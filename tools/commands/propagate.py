@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import app
+from tools.commands.app import app, examples
 from tools.commands.options import AsJson, ModelFiles, Settings
 from tools.propagation.settings import GroundFix, Teacher
 
@@ -15,9 +15,12 @@ INTERRUPTED = 130
 
 
 @app.command(
-    epilog="Examples: overflight propagate flight.mcap -o labels. overflight propagate drives/06 "
-    "-o labels --from overlay. overflight propagate flight.mcap -o labels --dynamic-within 2 "
-    "--sound-only. Then: overflight train segment-scan --data labels"
+    epilog=examples(
+        "overflight propagate flight.mcap -o labels",
+        "overflight propagate drives/06 -o labels --from overlay",
+        "overflight propagate flight.mcap -o labels --dynamic-within 2 --sound-only",
+        "overflight train segment-scan --data labels",
+    )
 )
 def propagate(
     recording: Annotated[

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import RUN_FAILED, app, complain
+from tools.commands.app import RUN_FAILED, app, complain, examples
 from tools.commands.options import ModelFiles, Out, Overlays, Settings, parse_speed
 
 
@@ -22,10 +22,12 @@ class CompressionName(StrEnum):
 
 
 @app.command(
-    epilog="Examples: overflight run graphs/drive.yaml --set parameters.recording=my_drive "
-    "--speed max --out out/ --report out/report.json. "
-    "overflight run graphs/emulated_uav.yaml --duration 60 --record flight.mcap. "
-    "overflight run flight.mcap --as-recorded"
+    epilog=examples(
+        "overflight run graphs/drive.yaml --set parameters.recording=my_drive --speed max "
+        "--out out",
+        "overflight run graphs/emulated_uav.yaml --duration 60 --record flight.mcap",
+        "overflight run flight.mcap --as-recorded",
+    )
 )
 def run(
     graph: Annotated[

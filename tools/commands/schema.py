@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import app, emit
+from tools.commands.app import app, emit, examples
 
 
-@app.command(epilog="Example: overflight schema -o graph.schema.json")
+@app.command(epilog=examples("overflight schema -o graph.schema.json"))
 def schema(
     output: Annotated[
         Path | None,

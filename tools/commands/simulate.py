@@ -7,13 +7,16 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import app
+from tools.commands.app import app, examples
 from tools.commands.options import AsJson
 
 
 @app.command(
-    epilog="Examples: overflight simulate demo -o flight.mcap; overflight simulate train-rgb "
-    "--seed 101 -o city101.mcap; overflight simulate my_preset.yaml -o mine.mcap"
+    epilog=examples(
+        "overflight simulate demo -o flight.mcap",
+        "overflight simulate train-rgb --seed 101 -o city101.mcap",
+        "overflight simulate my_preset.yaml -o mine.mcap",
+    )
 )
 def simulate(
     preset: Annotated[
@@ -32,6 +35,7 @@ def simulate(
     seed: Annotated[
         int | None,
         typer.Option(
+            metavar="N",
             min=0,
             help="Another district, other people, another flight.",
             show_default="the preset's",
@@ -39,7 +43,7 @@ def simulate(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(min=1, help="Threads that render.", show_default="one per core"),
+        typer.Option(metavar="N", min=1, help="Threads that render.", show_default="one per core"),
     ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Make it anew, and replace whatever is there.")

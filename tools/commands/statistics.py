@@ -7,14 +7,17 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import app
+from tools.commands.app import app, examples
 from tools.commands.options import AsJson
 
 
 @app.command(
-    epilog="Examples: overflight statistics drives/06. overflight statistics street.pcap --adapt "
-    "semantickitti --name os0_on_network -o scan_statistics.yaml. overflight statistics flight.osf "
-    "--set remission=signal --scans 100 --json."
+    epilog=examples(
+        "overflight statistics drives/06",
+        "overflight statistics street.pcap --adapt semantickitti --name os0_on_network -o "
+        "scan_statistics.yaml",
+        "overflight statistics flight.osf --set remission=signal --scans 100 --json",
+    )
 )
 def statistics(
     recording: Annotated[

@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import app
+from tools.commands.app import app, examples
 
 
 @app.command(
-    epilog="Examples: overflight top. overflight top uav. overflight top 4711 --once --json"
+    epilog=examples("overflight top", "overflight top uav", "overflight top 4711 --once --json")
 )
 def top(
     which: Annotated[

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import typer
 
-from tools.commands.app import USER_MISTAKE, app
+from tools.commands.app import USER_MISTAKE, app, examples
 from tools.commands.options import AsJson, GraphFile, ModelFiles, Out, Overlays, Settings
 
 
-@app.command(epilog="Example: overflight validate graphs/drive.yaml --overlay at_home.yaml")
+@app.command(epilog=examples("overflight validate graphs/drive.yaml --overlay at_home.yaml"))
 def validate(
     graph: GraphFile,
     settings: Settings = None,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tools.commands.app import examples
 from tools.commands.options import AsJson, ModelFiles
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ app = typer.Typer(no_args_is_help=True, help="List, check and add models.")
 NOT_RIGHT = 1
 
 
-@app.command(name="list", epilog="Example: overflight models list --models my_models.yaml")
+@app.command(name="list", epilog=examples("overflight models list --models my_models.yaml"))
 def list_models(models: ModelFiles = None, as_json: AsJson = False) -> None:
     """List every model that a graph may name, and which of its files are here."""
     from rich.console import Console
@@ -70,7 +71,9 @@ def _row(registry: Registry, name: str) -> dict[str, Any]:
     }
 
 
-@app.command(epilog="Examples: overflight models check. overflight models check detect-rgb --json")
+@app.command(
+    epilog=examples("overflight models check", "overflight models check detect-rgb --json")
+)
 def check(
     name: Annotated[
         str | None,
@@ -110,9 +113,11 @@ def check(
 
 
 @app.command(
-    epilog="Example: overflight models add net.tflite net.onnx --name segment-mine --registry "
-    "models.yaml --head scores --classes cityscapes. Then: overflight run graph.yaml --models "
-    "models.yaml"
+    epilog=examples(
+        "overflight models add net.tflite net.onnx --name segment-mine --head scores "
+        "--classes cityscapes",
+        "overflight run graph.yaml --models models.yaml",
+    )
 )
 def add(
     files: Annotated[
@@ -240,8 +245,11 @@ def _ask_head(file: Path, *, quiet: bool) -> str:
 
 
 @app.command(
-    epilog="Example: overflight models convert segment-rgb-cityscapes. Then: overflight run "
-    "graphs/drive.yaml --models models.yaml --set stages.segment_rgb.executor=onnx"
+    epilog=examples(
+        "overflight models convert segment-rgb-cityscapes",
+        "overflight run graphs/drive.yaml --models models.yaml --set "
+        "stages.segment_rgb.executor=onnx",
+    )
 )
 def convert(
     name: Annotated[
@@ -276,7 +284,7 @@ def convert(
 
 @app.command(
     name="check-edgetpu",
-    epilog="Example: overflight models check-edgetpu net.tflite (needs no Edge TPU, no compiler)",
+    epilog=examples("overflight models check-edgetpu net.tflite"),
 )
 def check_edgetpu(
     file: Annotated[

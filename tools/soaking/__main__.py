@@ -39,11 +39,16 @@ def soak(
     graph: Annotated[Path, typer.Argument(help="The graph file.")] = Path(
         "graphs/uav_two_process.yaml"
     ),
-    minutes: Annotated[float, typer.Option(min=0.5, help="How long.")] = 20.0,
+    minutes: Annotated[float, typer.Option(metavar="MINUTES", min=0.5, help="How long.")] = 20.0,
     every: Annotated[
-        float, typer.Option(min=10, help="Seconds between kills, on average; drawn evenly.")
+        float,
+        typer.Option(
+            metavar="SECONDS", min=10, help="Seconds between kills, on average; drawn evenly."
+        ),
     ] = 30.0,
-    seed: Annotated[int, typer.Option(help="Of the times and the processes that are killed.")] = 0,
+    seed: Annotated[
+        int, typer.Option(metavar="N", help="Of the times and the processes that are killed.")
+    ] = 0,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="A.B.C=VALUE", help="Change the graph, as in `run`."),

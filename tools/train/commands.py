@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipeline.errors import ModelError
+from tools.commands.app import examples
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -68,9 +69,9 @@ Output = Annotated[
         help="Checkpoint, curve, model files, registry, card. A training that was stopped goes on.",
     ),
 ]
-Steps = Annotated[int, typer.Option(min=1, help="How long: batches to learn from.")]
-Seed = Annotated[int, typer.Option(min=0, help="Another start, other crops.")]
-Threads = Annotated[int, typer.Option(min=1, help="Of torch.")]
+Steps = Annotated[int, typer.Option(metavar="N", min=1, help="How long: batches to learn from.")]
+Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Another start, other crops.")]
+Threads = Annotated[int, typer.Option(metavar="N", min=1, help="Of torch.")]
 Backbone = Annotated[
     BackboneName, typer.Option(help="residual learns faster; mobiledet is the paper's.")
 ]
@@ -134,9 +135,11 @@ Width = Annotated[
 
 
 @app.command(
-    epilog="Example: overflight train detect-thermal --data thermal_frames --steps 3600 "
-    "--license 'CC BY 4.0' -o out/thermal. Then: overflight run graph.yaml --models "
-    "out/thermal/models.yaml"
+    epilog=examples(
+        "overflight train detect-thermal --data thermal_frames --license 'CC BY 4.0' -o "
+        "out/thermal",
+        "overflight run graph.yaml --models out/thermal/models.yaml",
+    )
 )
 def detect_thermal(
     data: Data,
@@ -177,7 +180,7 @@ def detect_thermal(
 
 
 @app.command(
-    epilog="Example: overflight train detect-rgb --data city101.mcap --steps 3000 -o out/rgb"
+    epilog=examples("overflight train detect-rgb --data city101.mcap --steps 3000 -o out/rgb")
 )
 def detect_rgb(
     data: Data,
@@ -218,7 +221,7 @@ def detect_rgb(
 
 
 @app.command(
-    epilog="Example: overflight train segment-rgb --data city101.mcap --steps 4000 -o out/rgb"
+    epilog=examples("overflight train segment-rgb --data city101.mcap --steps 4000 -o out/rgb")
 )
 def segment_rgb(
     data: Flight,
@@ -234,7 +237,7 @@ def segment_rgb(
     ] = 1.0,
     stride: Annotated[
         int | None,
-        typer.Option(help="Of the scores, pixels.", show_default="4, of a deeplab 8"),
+        typer.Option(metavar="N", help="Of the scores, pixels.", show_default="4, of a deeplab 8"),
     ] = None,
     threads: Threads = 1,
     license: License = "Apache-2.0",
@@ -272,9 +275,12 @@ def segment_rgb(
 
 
 @app.command(
-    epilog="Examples: overflight train segment-scan --data city101.mcap --steps 3000 -o out/scan. "
-    "overflight train segment-scan --data mix.yaml --recipe strong --batch 64 --from out/scan -o "
-    "out/retrained (mix.yaml: sources: [{path: city101.mcap, share: 1}, {path: labels, share: 2}])"
+    epilog=examples(
+        "overflight train segment-scan --data city101.mcap --steps 3000 -o out/scan",
+        "overflight train segment-scan --data mix.yaml --recipe strong --batch 64 --from "
+        "out/scan -o out/more",
+        "  with mix.yaml: {sources: [{path: city101.mcap, share: 1}, {path: labels, share: 2}]}",
+    )
 )
 def segment_scan(
     data: ScanData,
@@ -300,10 +306,16 @@ def segment_scan(
         ),
     ] = None,
     channels: Annotated[
-        int, typer.Option(min=4, max=5, help="4 leaves the remission out: another LiDAR's differs.")
+        int,
+        typer.Option(
+            metavar="N", min=4, max=5, help="4 leaves the remission out: another LiDAR's differs."
+        ),
     ] = 5,
     batch: Annotated[
-        int, typer.Option(min=4, help="Parts of scans to a step; gathered where it is above 4.")
+        int,
+        typer.Option(
+            metavar="N", min=4, help="Parts of scans to a step; gathered where it is above 4."
+        ),
     ] = 4,
     threads: Threads = 1,
     license: License = "Apache-2.0",
