@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path
@@ -68,6 +69,12 @@ def write_calibration(file: McapWriter, calibration: Calibration) -> None:
 
 def calibration(*, path: Path) -> Calibration:
     """The calibration that a recording brings. Raises DataError."""
+    if not path.exists():
+        file = os.path.relpath(path)
+        raise DataError(
+            f"path {file}: no such file; name a recording of yours, or simulate a flight: "
+            f"overflight simulate demo -o {file}"
+        )
     reader = McapReader(path)
     topics = reader.channels()
     if MOUNTS not in topics:

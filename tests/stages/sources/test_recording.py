@@ -74,3 +74,5 @@ def test_a_recording_brings_its_calibration(tmp_path: Path, flight: Path) -> Non
     assert calibration(path=path).sensor("lidar").base_from_sensor == pytest.approx(mount)
     with pytest.raises(DataError, match="brings no calibration"):
         calibration(path=flight)
+    with pytest.raises(DataError, match=r"path none\.mcap: no such file; .* simulate demo -o none"):
+        calibration(path=Path("none.mcap"))
