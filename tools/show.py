@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import json
 import pkgutil
 from collections.abc import Sequence
@@ -17,7 +18,8 @@ from pipeline.stage import ModelStage, Source, Stage
 
 
 def shipped_stages() -> list[type[Stage]]:
-    """Every public stage class of the package `stages`, by module and then in the file's order."""
+    """Every stage class of the package `stages` that a graph may name, by module and then in the
+    file's order."""
     names = [
         module.name
         for module in pkgutil.walk_packages(stages.__path__, "stages.")
@@ -31,6 +33,7 @@ def shipped_stages() -> list[type[Stage]]:
         and issubclass(cls, Stage)
         and cls.__module__ == name
         and not cls.__name__.startswith("_")
+        and not inspect.isabstract(cls)
     ]
 
 

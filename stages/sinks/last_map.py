@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from stages.taxonomy import load_taxonomy
 from stages.types import SemanticVoxels
 
 
-class LastMap(Stage):
+class LastMap(Stage, ABC):
     """Keeps the last map it gets and writes it when it closes; subclasses define `write`."""
 
     inline = True
@@ -36,9 +37,9 @@ class LastMap(Stage):
             voxels, self._last = self._last, None
             self.write(self._path, confident(voxels, self._min_confidence))
 
+    @abstractmethod
     def write(self, path: Path, voxels: SemanticVoxels) -> None:
         """Write the map to `path`, whole or not at all."""
-        raise NotImplementedError
 
 
 def confident(voxels: SemanticVoxels, least: float) -> SemanticVoxels:
