@@ -117,6 +117,7 @@ def test_a_speed_is_a_factor_or_max(text: str, speed: float | None) -> None:
         ("graph", "missing.yaml"),
         ("graph", "hello.yaml", "--format", "jpeg"),
         ("graph", "hello.yaml", "-o", "hello.yaml/graph.svg"),
+        ("graph", "hello.yaml", "-o", "graph.pdf"),
         ("inspect",),
         ("inspect", "detekt"),
         ("inspect", "my_pairing:Par"),

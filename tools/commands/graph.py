@@ -20,6 +20,13 @@ class Drawing(StrEnum):
     SVG = "svg"
 
 
+#: What a file's ending asks for; Mermaid stands in Markdown, too.
+ENDINGS = {
+    **{".svg": Drawing.SVG, ".dot": Drawing.DOT, ".gv": Drawing.DOT},
+    **dict.fromkeys((".mermaid", ".mmd", ".md", ".txt", ""), Drawing.MERMAID),
+}
+
+
 @app.command(name="graph", epilog=examples("overflight graph graphs/drive.yaml -o drive.svg"))
 def draw(
     graph: GraphFile,
@@ -48,9 +55,7 @@ def draw(
 
     loaded, _ = open_graph(graph, settings or (), overlays or (), models or ())
     diagram = Diagram.of(loaded)
-    if form is None:
-        ending = output.suffix.lstrip(".") if output else ""
-        form = Drawing(ending) if ending in list(Drawing) else Drawing.MERMAID
+    form = form or _form_of(output)
     if as_json:
         emit(diagram.json(), output)
     elif form is Drawing.SVG:
@@ -59,3 +64,14 @@ def draw(
         emit(svg(diagram), output)
     else:
         emit(diagram.dot() if form is Drawing.DOT else diagram.mermaid(), output)
+
+
+def _form_of(output: Path | None) -> Drawing:
+    """The form that the ending of the file asks for, Mermaid where there is no file."""
+    ending = output.suffix.lower() if output is not None else ""
+    if ending not in ENDINGS:
+        known = ", ".join(filter(None, ENDINGS))
+        raise typer.BadParameter(
+            f"{output}: no drawing ends in {ending}; take {known}, or --format"
+        )
+    return ENDINGS[ending]
