@@ -61,8 +61,9 @@ class Flight:
     @cached_property
     def manifest(self) -> Manifest:
         """What the file says of the run."""
+        notes = self.reader.notes()
         try:
-            return Manifest.of(self.reader.notes())
+            return Manifest.of(notes)
         except DataError as error:
             raise DataError(f"{self.path}: {error}") from None
 

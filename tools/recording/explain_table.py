@@ -149,7 +149,7 @@ def print_story(story: TriggerStory, console: Console) -> None:
         if one.nearest_came_ms is not None and one.sync == "nearest":
             side = "after" if one.nearest_came_ms >= 0 else "before"
             text = f"the nearest arrived {abs(one.nearest_came_ms):.1f} ms {side} the trigger"
-            console.print(f"             {text}", style="dim", highlight=False)
+            console.print(f"               {text}", style="dim", highlight=False)
 
 
 def _print_input(name: str, source: str, verdict: str, why: str, console: Console) -> None:

@@ -23,8 +23,9 @@ def runs_apart(graph: Graph, host: str | None, *, alone: bool) -> bool:
     """
     hosts = dict.fromkeys(process.host for process in graph.processes.values())
     if host is not None and host not in hosts:
-        known = ", ".join(hosts) if HERE not in hosts else "none: its processes name no host"
-        raise typer.BadParameter(f"--host {host}: the graph's hosts are {known}")
+        if HERE in hosts:
+            raise typer.BadParameter(f"--host {host}: no process of this graph names a host")
+        raise typer.BadParameter(f"--host {host}: the graph's hosts are {', '.join(hosts)}")
     if host is None and len(hosts) > 1 and not alone:
         raise typer.BadParameter(
             f"this graph runs on {len(hosts)} hosts; say which one this is: "

@@ -234,6 +234,7 @@ def test_wrong_words_have_a_way_out(flown: Path, overflight: Overflight) -> None
         done = overflight(words[0], "recorded_pairing.py", *words[1:])
         assert done.code == 2
         assert "Traceback" not in done.err
+        assert done.err.count("recorded_pairing.py") == 1
 
 
 def _burn() -> None:
