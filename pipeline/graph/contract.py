@@ -90,7 +90,7 @@ def contract_of(cls: type[Stage]) -> Contract:
     """The contract that the annotations of `cls` state. Raises ContractError."""
     is_source, is_model = issubclass(cls, Source), issubclass(cls, ModelStage)
     if inspect.isabstract(cls):
-        lacks = ", ".join(sorted(cls.__abstractmethods__))
+        lacks = ", ".join(sorted(vars(cls)["__abstractmethods__"]))
         raise ContractError(f"{cls.__name__} is the base of other stages; it lacks {lacks}")
     options = options_of(cls)
     inputs: tuple[InputPort, ...] = ()
