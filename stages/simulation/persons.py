@@ -124,7 +124,7 @@ def lying(build: Build, random: np.random.Generator) -> Array:
 def riding(build: Build, phase: float) -> Array:
     """Poses (PARTS, 4, 4) of the limbs on a bicycle's saddle; `phase` turns the pedals."""
     turn = np.sin(phase + np.array([0.0, np.pi]))
-    hips = -np.radians(62.0 + 20.0 * turn)
+    hips = np.radians(62.0 + 20.0 * turn)
     knees = np.radians(80.0 + 22.0 * turn)
     return _pose(build, 0.99, 0.6, hips, knees, np.full(2, -0.95), np.full(2, -0.25))
 

@@ -38,3 +38,14 @@ def test_the_limbs_hang_together(poses: np.ndarray) -> None:  # type: ignore[typ
     for upper, lower, length in ((1, 2, 0.45), (5, 6, 0.45), (3, 4, 0.29), (7, 8, 0.29)):
         end = poses[upper] @ np.array([0, 0, -length * h, 1])
         assert poses[lower][:3, 3] == pytest.approx(end[:3])
+
+
+@pytest.mark.parametrize("phase", np.linspace(0, 2 * np.pi, 7))
+def test_a_rider_has_the_knees_ahead_and_the_feet_where_the_pedals_turn(phase: float) -> None:
+    poses = riding(BUILD, phase)
+    h = BUILD.height_m / 1.75
+    crank = np.array([-0.08 + 0.26, 0.29])  # of the bicycle, from under the saddle
+    for shin in (2, 6):
+        knee, foot = poses[shin][:3, 3], poses[shin] @ np.array([0, 0, -0.43 * h, 1])
+        assert knee[0] > 0.25
+        assert np.hypot(*(foot[[0, 2]] - crank)) < 0.32

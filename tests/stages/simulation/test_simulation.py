@@ -19,7 +19,7 @@ TAXONOMY = load_taxonomy()
 
 #: sha256 over the classes of every pixel and return of the tiny flight. A change of the generator
 #: changes it: look at the pictures, then write the new one here.
-FLIGHT = "b36bdfd28b351825"
+FLIGHT = "0afa2579677b0ba0"
 
 
 def of(samples: list[Sample], topic: str) -> list[Sample]:
