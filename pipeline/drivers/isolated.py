@@ -53,7 +53,12 @@ class IsolatedDevice:
 
     def infer(self, process: int | None, number: int, inputs: Native) -> Native:
         """Run a model that `process` loaded. Raises DeviceError, also where that is gone."""
-        if process != self._child.pid or not self._child.alive:
+        if process != self._child.pid:  # the one of now is well, and is left alone
+            raise DeviceError(
+                f"devices.{self._device.name}: the process that loaded this model is gone; it was "
+                "started anew since"
+            )
+        if not self._child.alive:
             raise DeviceError(f"devices.{self._device.name}: {self._loss()}")
         return self._call({"call": "infer", "model": number}, inputs)[1]
 

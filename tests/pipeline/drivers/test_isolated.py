@@ -16,12 +16,14 @@ import isolated_devices
 import numpy as np
 import psutil
 import pytest
+from descriptors import descriptors
 from isolated_devices import Doubler
 
 from pipeline.drivers.isolated import IsolatedDevice
 from pipeline.errors import DeviceError, ModelError
 from pipeline.graph.graph import GraphDevice
 from pipeline.graph.nodes import Mark, Node, Origin
+from pipeline.transport import child
 from pipeline.transport.child import Restarts
 
 pytestmark = pytest.mark.slow  # a process takes some 0.3 s to start
@@ -34,6 +36,12 @@ def isolated(restarts: Restarts = ALWAYS, **options: Any) -> IsolatedDevice:
     block = Node({name: Node(value, MARK) for name, value in options.items()}, MARK)
     use = f"{isolated_devices.__name__}:Doubler"
     return IsolatedDevice(GraphDevice("tpu", use, Doubler, options, block, restarts), restarts)
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine may take long to end a process: how that ended is told all the same."""
+    monkeypatch.setattr(child, "GRACE_S", 60.0)
 
 
 @pytest.fixture
@@ -83,9 +91,11 @@ def test_a_crash_is_an_error_of_the_run_and_the_next_probe_starts_anew(
     with pytest.raises(DeviceError, match=how):  # it went with its process
         model.infer(x(1))
     assert device.probe().available
-    with pytest.raises(DeviceError):
+    again = device.pid
+    with pytest.raises(DeviceError, match="was started anew since"):
         model.infer(x(1))
     assert device.load("any", {}).infer(x(5))["y"][0] == 10
+    assert device.pid == again
 
 
 def test_a_kill_from_outside_is_an_error_of_the_run(device: IsolatedDevice) -> None:
@@ -111,7 +121,7 @@ def test_a_hang_ends_when_it_is_interrupted(device: IsolatedDevice) -> None:
     while not device._waiting:
         pass
     device.interrupt()
-    thread.join(10)
+    thread.join(60)
     assert "SIGKILL" in str(errors[0])
 
 
@@ -142,14 +152,14 @@ def test_a_process_that_may_not_be_restarted_says_so(restarts: Restarts, reason:
 
 
 def test_closing_leaves_no_process_and_no_descriptor() -> None:
-    before = len(list(Path("/proc/self/fd").iterdir()))
+    before = descriptors()
     device = isolated()
     device.probe()
     pid = device.pid
     assert pid is not None
     device.close()
     assert not psutil.pid_exists(pid)
-    assert len(list(Path("/proc/self/fd").iterdir())) == before
+    assert not descriptors() - before
 
 
 def test_the_process_ends_with_its_parent_even_while_it_hangs(tmp_path: Path) -> None:
