@@ -53,7 +53,9 @@ class Channel:
     port: str  #: ``stage/port``, as messages name it
     schema: PayloadSchema
     local: bool = True  #: all ends on one host: large payloads go by shared memory
-    block: bool = False  #: the publisher waits for a slow network or reader; else latest wins
+    #: The publisher waits for a slow network or reader; else latest wins. From a reader that takes
+    #: nothing for 5 s Zenoh parts, and what was under way is lost, and counted.
+    block: bool = False
     max_bytes: int = MAX_BYTES  #: the most that one payload may take
     #: Of the ring, at first; it grows where readers hold them. A slot that no reader has come to
     #: is written anew after so many messages: where none may be lost, more than can be under way.

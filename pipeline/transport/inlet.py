@@ -45,8 +45,8 @@ class Inlet:
         try:
             arrival = self._arrival(head, size, body)
         except WireError as error:
+            self._last_refusal = f"{self._channel.key}: {error}"  # first: who sees the count has it
             self._refused[error.reason] += 1
-            self._last_refusal = f"{self._channel.key}: {error}"
             return
         if arrival is not None:
             self._on_arrival(arrival)

@@ -2,7 +2,10 @@ from __future__ import annotations
 
 import threading
 
+import pytest
+
 from pipeline.errors import TransportError
+from pipeline.transport import courier as module
 from pipeline.transport.courier import Courier
 
 Sent = tuple[bytes, bytes]
@@ -39,7 +42,10 @@ def test_a_newer_message_takes_the_place_of_one_that_waits_and_of_news_before_it
     courier.close()
 
 
-def test_the_end_of_a_stream_gets_out_before_the_link_is_closed() -> None:
+def test_the_end_of_a_stream_gets_out_before_the_link_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "LINGER_S", 60.0)  # the thread may stand still for a while
     road = Road()
     road.free.release(2)
     courier = Courier("to-x", road.send)
