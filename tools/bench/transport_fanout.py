@@ -28,7 +28,8 @@ READERS = 8
 EVERY = 4
 WINDOW = 12  #: frames that are on their way at most
 GOAL = 864  #: frames/s of ezmsg on the machine where the goal was set
-CHANNEL = replace(channel("1.2 MB"), slots=16, depth=16)
+#: A reader that stands still finds its frames, and the news that repeat meanwhile, for 10 s.
+CHANNEL = replace(channel("1.2 MB"), slots=16, depth=64)
 
 
 def measure(effort: Effort) -> list[Row]:
