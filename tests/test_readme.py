@@ -43,7 +43,6 @@ def run(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        timeout=60,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
 

@@ -96,7 +96,6 @@ def maps(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Maps:
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=110,
     )
     assert answer.returncode == 0, answer.stderr
     files = (folder / "out/map.ply", folder / "out/shifted.ply")

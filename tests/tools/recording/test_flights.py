@@ -256,7 +256,6 @@ def load() -> Iterator[None]:
 
 @pytest.mark.slow
 @pytest.mark.realtime
-@pytest.mark.timeout(300)  # two runs, each beside two burners
 @pytest.mark.usefixtures("load")
 def test_the_emulated_uav_recorded_under_load_is_repeated_to_the_bit(
     root: Path, tmp_path: Path, overflight: Overflight
