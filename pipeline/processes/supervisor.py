@@ -11,7 +11,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from pipeline.drivers.run import RunResult, Snapshot
@@ -28,7 +28,7 @@ from pipeline.processes.fault_plan import planned_faults
 from pipeline.processes.merging import merged_page, merged_report, snapshot_of
 from pipeline.processes.process import PartProcess
 from pipeline.transport import shared_files
-from pipeline.transport.zenoh import free_endpoint
+from pipeline.transport.zenoh import Reserved
 
 #: Between two looks at the processes, and between two pages of their status.
 POLL_S, PAGE_S = 0.05, 0.5
@@ -78,7 +78,8 @@ class Supervisor:
         if host is not None:  # both hosts must name the streams alike
             run = re.sub("[^A-Za-z0-9_-]", "-", graph.name)
         names = graph.placement.processes(host)
-        endpoints = {name: free_endpoint() for name in names}
+        self._reserved = ExitStack()
+        endpoints = {name: self._reserved.enter_context(Reserved()).endpoint for name in names}
         self._processes = {
             name: PartProcess(
                 graph.processes[name],
@@ -104,8 +105,8 @@ class Supervisor:
 
         Raises OverflightError where a part does not open.
         """
-        shared_files.sweep()
-        with folder_of_this_run(self._graph), self._all_closed():
+        with self._reserved, folder_of_this_run(self._graph), self._all_closed():
+            shared_files.sweep()
             for process in self._processes.values():
                 process.start()
             self._open()  # Ctrl-C ends it at once: nothing has begun

@@ -60,9 +60,34 @@ class LinkOptions:
 
 def free_endpoint(host: str = "127.0.0.1") -> str:
     """A TCP endpoint on which nobody listens now."""
-    with socket.socket() as probe:
-        probe.bind((host, 0))
-        return f"tcp/{host}:{probe.getsockname()[1]}"
+    with Reserved(host) as reserved:
+        return reserved.endpoint
+
+
+class Reserved:
+    """A TCP endpoint that the system gives to nobody else while this is open, also not between the
+    end of a process that listened on it and the start of the next; a link may listen on it."""
+
+    def __init__(self, host: str = "127.0.0.1") -> None:
+        self._socket = socket.socket()
+        # Bound and not listening, it is in the way of those who ask for any port, and of no link.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._socket.bind((host, 0))
+        self.endpoint = f"tcp/{host}:{self._socket.getsockname()[1]}"
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
 
 
 def open_session(options: LinkOptions) -> zenoh.Session:

@@ -22,7 +22,7 @@ from pipeline.transport.channel import Arrival, ChannelStatistics
 from pipeline.transport.envelope import Envelope, Kind
 from pipeline.transport.outlet import INLINE_BYTES
 from pipeline.transport.shared_files import FOLDER, PREFIX, sweep
-from pipeline.transport.zenoh import DEFAULTS, Link, LinkOptions, free_endpoint
+from pipeline.transport.zenoh import DEFAULTS, Link, LinkOptions, Reserved, free_endpoint
 
 HERE = Path(__file__).parent
 OTHER = replace(CHANNEL, key="test/lidar/out", port="lidar/out")
@@ -149,6 +149,21 @@ def test_who_starts_first_does_not_matter() -> None:
             publisher.advertise(CHANNEL)
             publisher.publish(CHANNEL.key, Envelope(Kind.END, "camera/out", 5))
             until(lambda: listener.arrivals)
+
+
+def test_a_reserved_endpoint_is_ours_before_between_and_after_its_links() -> None:
+    with Reserved() as reserved:
+        port = int(reserved.endpoint.rpartition(":")[2])
+
+        def assert_nobody_gets_it() -> None:
+            with socket.socket() as other, pytest.raises(OSError, match="in use"):
+                other.bind(("127.0.0.1", port))
+
+        for _ in range(2):
+            assert_nobody_gets_it()
+            with Link(LinkOptions(listen=[reserved.endpoint])):
+                assert_nobody_gets_it()
+        assert_nobody_gets_it()
 
 
 def test_a_link_ends_with_its_threads_and_descriptors_also_twice() -> None:
