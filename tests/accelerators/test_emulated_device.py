@@ -254,8 +254,9 @@ def test_a_hang_without_end_ends_when_the_device_is_closed(time: Time) -> None:
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
-    thread.join(timeout=0.05)
-    assert thread.is_alive()
+    while not device.probe().reason:  # not there yet
+        thread.join(timeout=0.01)
+        assert thread.is_alive()
     assert device.probe().reason == "the emulated device hangs, as its faults say"
     device.close()
     thread.join(timeout=60)

@@ -13,15 +13,15 @@ from driving import arrive
 from accelerators.registry import Registry
 from pipeline.drivers.run import Snapshot, run_graph
 from pipeline.graph.graph import load_graph
+from pipeline.measuring.trace import Trace
+from pipeline.measuring.trace_entries import Published, Told
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
-TIMEOUT_MS = 500
+#: None but a hang takes this long, on a busy machine either.
+TIMEOUT_MS = 2_000
 #: When a flight ends whose story does not: a busy machine takes longer to start a device anew.
 AT_MOST_S = 60
-#: One turn of all four networks on the iGPU, and seven more for a busy machine; without a failover
-#: the outputs would be silent until the device is back, which takes longer.
-PERIOD_MS = 8 * (50 + 24 + 18 + 32)
 NETWORKS = ("segment_rgb", "detect_rgb", "detect_thermal")
 
 
@@ -54,14 +54,26 @@ def fly(
         if over_at_s and snapshot.elapsed_s > over_at_s[0]:
             arrive(signal.SIGINT)
 
-    report = run_graph(graph, catalog, duration_s=AT_MOST_S, progress=tick).report
+    trace = Trace(1_000_000)
+    report = run_graph(graph, catalog, duration_s=AT_MOST_S, progress=tick, trace=trace).report
     assert report["ledger_balanced"]
     assert report["failures"] == []
     assert bool(victims) == kill
-    for name in ("fuse_image", "fuse_cloud"):
-        assert report["outputs"][f"{name}/out"]["longest_gap_ms"] <= TIMEOUT_MS + PERIOD_MS, name
+    # Without a failover the fused outputs would wait for the device, a second or more.
+    assert {"fuse_image", "fuse_cloud"} <= published_while_down(trace)
     assert psutil.Process().children() == []
     return report
+
+
+def published_while_down(trace: Trace) -> set[str]:
+    """The stages that went on while the Edge TPU was lost."""
+    down, stages = False, set()
+    for entry in trace.entries():
+        if isinstance(entry, Told) and entry.subject == "edgetpu":
+            down = entry.kind == "device_down" or (down and entry.kind != "device_up")
+        elif isinstance(entry, Published) and down:
+            stages.add(entry.stage)
+    return stages
 
 
 def story(report: Any) -> list[str]:
@@ -69,7 +81,7 @@ def story(report: Any) -> list[str]:
 
 
 def test_a_device_that_dies_and_returns_is_climbed_back_to(root: Path) -> None:
-    times = ["devices.edgetpu.faults.dies_at_s=1", "devices.edgetpu.faults.returns_at_s=1.8"]
+    times = ["devices.edgetpu.faults.dies_at_s=1", "devices.edgetpu.faults.returns_at_s=2.8"]
     report = fly(root, "edgetpu_dies.yaml", *times, until="device_up")
     kinds = story(report)
     assert kinds.index("device_failed") < kinds.index("device_down") < kinds.index("device_up")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import signal
 from pathlib import Path
 
 import pytest
 import yaml
+from driving import arrive
 
-from pipeline.drivers.run import RunResult, run_graph
+from pipeline.drivers.run import RunResult, Snapshot, run_graph
 from pipeline.graph.spec import graph_schema
 from tools.drawing.diagram import Diagram
 from tools.drawing.svg import svg
@@ -92,8 +94,12 @@ def test_a_shipped_graph_loads_and_runs_offline(
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_the_demo_runs_live(tmp_path: Path) -> None:
+    def stop_once_all_ran(snapshot: Snapshot) -> None:
+        if all(output.count for output in snapshot.outputs.values()):
+            arrive(signal.SIGINT)
+
     graph, catalog = open_graph(EMULATED, out=tmp_path)
-    result = run_graph(graph, catalog, duration_s=2.0)
+    result = run_graph(graph, catalog, duration_s=60.0, progress=stop_once_all_ran)
     assert result.failures == ()
     assert_all_ran(result)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from driving import MS, Apply, Collect, Pair, beat, drive
@@ -33,7 +34,7 @@ def test_messages_arrive_at_their_time_and_in_order() -> None:
     stages = {"work": Apply(lambda x: x * 2), "sink": sink}
     ran = drive(_chain(Policy.BLOCK, 20), stages, {"source": beat(20, 10)}, live=True)
     assert sink.seen == [(n * 10 * MS, 2 * n) for n in range(20)]
-    assert 0.18 < ran.seconds < 10
+    assert ran.seconds > 0.18
     assert balanced(ran.ledger)
     assert all(page["in_flight"] == 0 for page in ran.ledger.values())
 
@@ -140,7 +141,7 @@ def test_skip_counts_failures_and_goes_on() -> None:
 def test_stop_drains_what_runs_and_ends() -> None:
     sink = Collect()
     stages = {"work": Apply(lambda x: time.sleep(0.05) or x), "sink": sink}
-    before = threading.active_count()
+    before = set(threading.enumerate())
     ran = drive(
         _chain(),
         stages,
@@ -151,15 +152,27 @@ def test_stop_drains_what_runs_and_ends() -> None:
     assert ran.seconds < 25  # of the source's 50
     assert balanced(ran.ledger)
     assert ran.runs["work"]["running"] == 0
-    assert threading.active_count() == before
+    for thread in set(threading.enumerate()) - before:
+        thread.join(60)  # one that a busy machine does not let end is left behind, and ends later
+        assert not thread.is_alive()
 
 
 def test_a_stage_that_hangs_is_left_behind_and_said_so() -> None:
-    forever = threading.Event()
-    stages = {"work": Apply(lambda x: forever.wait(60)), "sink": Collect()}
-    ran = drive(_chain(), stages, {"source": beat(3, 5)}, live=True, duration_s=0.2)
+    hangs, forever = threading.Event(), threading.Event()
+
+    def hang(x: int) -> None:
+        hangs.set()
+        forever.wait(60)
+
+    def stop(driver: Any) -> None:
+        if hangs.is_set():
+            driver.stop()
+
+    stages = {"work": Apply(hang), "sink": Collect()}
+    ran = drive(_chain(), stages, {"source": beat(6_000, 10)}, live=True, during=stop)
+    assert not forever.is_set()  # the run did not wait for it
     forever.set()
-    assert ran.seconds < 30  # of the 60 that it hangs
+    assert ran.seconds < 55  # of the 60 that it hangs
     assert ran.runs["work"]["abandoned"] == 1
     assert any(event.kind == "hung" for event in ran.statistics.events)
 

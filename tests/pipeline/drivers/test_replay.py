@@ -26,7 +26,7 @@ from pipeline.recording.payloads import Payloads
 from pipeline.recording.recorder import DECISIONS
 from pipeline.recording.reenactment import Different
 from pipeline.scheduling.events import Observer
-from pipeline.scheduling.topology import OnError, Port, Topology
+from pipeline.scheduling.topology import OnError, Policy, Port, Topology
 from pipeline.stage import Stage
 
 SOURCES = (Port("lidar"), Port("camera"))
@@ -53,6 +53,14 @@ class Fuse(Stage):
 def skipping() -> Topology:
     lidar, camera, fuse, sink = topology().stages
     return Topology((lidar, camera, replace(fuse, on_error=OnError.SKIP), sink))
+
+
+def keeping() -> Topology:
+    """Of which the sink sees all that is fused, however late it is."""
+    lidar, camera, fuse, sink = topology().stages
+    (trigger,) = sink.inputs
+    block = replace(trigger, policy=Policy.BLOCK, size=4)
+    return Topology((lidar, camera, fuse, replace(sink, inputs=(block,))))
 
 
 def record(path: Path, fuse: Fuse, *, live: bool, of: Topology | None = None) -> Collect:
@@ -92,7 +100,8 @@ class Replayed:
 @pytest.mark.realtime
 def test_a_live_run_under_load_is_repeated_exactly_by_a_faster_machine(tmp_path: Path) -> None:
     dice = random.Random(3)
-    flown = record(tmp_path / "f", Fuse(lambda: dice.choice((0.001, 0.015, 0.03))), live=True)
+    slow = Fuse(lambda: dice.choice((0.001, 0.015, 0.03)))
+    flown = record(tmp_path / "f", slow, live=True, of=keeping())
     assert 1 < len(flown.seen) < 50, "some scans must be lost, or there is nothing to repeat"
     sink = Collect()
     replayed = Replayed(tmp_path / "f", {"fuse": Fuse(), "sink": sink})

@@ -33,7 +33,7 @@ NODES = [
         "pair",
         (
             Input("a", (Port("lidar"),), policy=Policy.BLOCK, size=4),
-            Input("b", (Port("work"),), sync=Sync.NEAREST, tolerance=20 * MS, max_wait=500 * MS),
+            Input("b", (Port("work"),), sync=Sync.NEAREST, tolerance=20 * MS, max_wait=60_000 * MS),
         ),
     ),
     StageNode("sink", (Input("x", (Port("pair"),), policy=Policy.BLOCK, size=4),), outputs=()),

@@ -86,7 +86,7 @@ def graph(tmp_path: Path) -> Path:
 
 def test_one_run_says_what_each_stage_costs(overflight: Callable[..., Any], graph: Path) -> None:
     answer = overflight(
-        *("profile", graph, "--duration", 1, "--json"),
+        *("profile", graph, "--duration", 3, "--json"),
         *("--html", "page.html", "--save-costs", "costs.yaml"),
     )
     assert answer.code == 0, answer.err

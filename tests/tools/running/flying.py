@@ -97,18 +97,22 @@ class Run:
         self._seen: dict[int, psutil.Process] = {}
 
     def page(self) -> dict[str, Any]:
-        """What `overflight top --once --json` reads: how the run stands."""
+        """How the run stands."""
+        return self.until(lambda page: True)
+
+    def _read(self) -> dict[str, Any]:
+        """What `overflight top --once --json` reads; nothing where no whole page is up just now."""
         for board in boards(self._folder / "overflight"):
             return read_board(board) or {}
         return {}
 
     def until(
-        self, what: Callable[[dict[str, Any]], bool], limit_s: float = 60.0
+        self, what: Callable[[dict[str, Any]], bool], limit_s: float = 200.0
     ) -> dict[str, Any]:
         """Wait until the page of the run is so."""
         deadline = time.monotonic() + limit_s
         while time.monotonic() < deadline:
-            page = self.page()
+            page = self._read()
             for name in page.get("processes", {}):
                 with contextlib.suppress(psutil.NoSuchProcess):  # killed since
                     pid = page["processes"][name]["pid"]
@@ -117,14 +121,14 @@ class Run:
                 return page
             assert self.process.poll() is None, self.process.communicate()[0]
             time.sleep(0.05)
-        raise AssertionError(f"not within {limit_s} s: {self.page()}")
+        raise AssertionError(f"not within {limit_s} s: {self._read()}")
 
     def pid(self, name: str) -> int:
         return int(self.page()["processes"][name]["pid"])
 
     def report(self, code: int = 0) -> dict[str, Any]:
         """The report of the ended run, which left nothing behind."""
-        text, _ = self.process.communicate(timeout=60)
+        text, _ = self.process.communicate(timeout=200)
         assert self.process.returncode == code, text
         assert shared_memory(self.process.pid) == []
         report: dict[str, Any] = json.loads(self._report.read_text())

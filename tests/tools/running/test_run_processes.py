@@ -13,6 +13,9 @@ from typing import Any
 import pytest
 from flying import TWO_PROCESSES, Run, shared_memory
 
+from pipeline.recording.mcap import McapReader
+from pipeline.recording.recorder import DECISIONS
+
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 
@@ -124,15 +127,24 @@ def test_with_the_supervisor_killed_no_process_stays(run: Callable[..., Run]) ->
     assert shared_memory(graph.process.pid) == []
 
 
+def decisions(path: Path) -> int:
+    return sum(len(json.loads(page.data)["rows"]) for page in McapReader(path).records([DECISIONS]))
+
+
 def test_a_process_that_was_killed_leaves_its_flight_and_begins_another(
     run: Callable[..., Run],
     tmp_path: Path,
     overflight: Callable[..., Any],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    graph = run("--duration", "12", "--record", "f.mcap")
+    graph = run("--record", "f.mcap")
     graph.until(lambda page: page["outputs"].get("work/out", {}).get("count", 0) > 15)
+    graph.until(lambda page: decisions(tmp_path / "f.far.mcap") > 5)  # once a second they are safe
     os.kill(graph.pid("far"), signal.SIGKILL)
+    page = graph.until(lambda page: page["processes"]["far"]["restarts"] == 1)
+    worked = page["outputs"]["work/out"]["count"]
+    graph.until(lambda page: bool(page["outputs"]["work/out"]["count"] > worked + 5))
+    os.kill(graph.process.pid, signal.SIGINT)
     graph.report()
     lives = sorted(file.name for file in tmp_path.glob("f.far*.mcap"))
     assert lives == ["f.far.2.mcap", "f.far.mcap"]
