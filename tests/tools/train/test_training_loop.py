@@ -10,6 +10,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the extra 'train' is not installed")
 
+from driving import arrive  # noqa: E402
 from rich.console import Console  # noqa: E402
 
 from pipeline.errors import DataError  # noqa: E402
@@ -44,7 +45,7 @@ class Line:
         self, outputs: torch.Tensor, batch: Mapping[str, torch.Tensor]
     ) -> dict[str, torch.Tensor]:
         if self._learned == self._stop_at:
-            signal.raise_signal(signal.SIGINT)  # Ctrl-C in the middle of a step
+            arrive(signal.SIGINT)  # Ctrl-C in the middle of a step
         self._learned += 1
         error = (outputs.float() - batch["wanted"]).square().mean()
         return {"error": error * (float("nan") if self._poison else 1)}
