@@ -260,16 +260,19 @@ class Exchange:
             "out": {
                 name: {
                     "port": str(sender.link.port),
-                    "sent": known.published[self.key(sender.link)].published,
+                    "sent": begin.published,
+                    "sent_whole": begin.sent_whole,
                     "failed": sender.failed,
                 }
                 for name, sender in self.senders.items()
+                for begin in [known.published[self.key(sender.link)]]
             },
             "in": {
                 str(link.port): {
                     "received": end.received,
                     "lost": end.lost + end.missed_before,
                     "refused": dict(end.refused),
+                    "last_refusal": end.last_refusal,
                     "bytes": end.bytes,
                 }
                 for link in self._part.incoming

@@ -202,13 +202,14 @@ def _shown_output(name: str, process: Known | None) -> dict[str, Any]:
 
 
 def _process(process: Known) -> dict[str, Any]:
-    cpu = process.report["cpu"] if process.report else {}
-    return {
+    report = process.report or {}
+    page = {
         "pid": process.pid,
         "restarts": max(process.lives - 1, 0),
-        "cpu_cores": cpu.get("process_cores"),
+        "cpu_cores": report.get("cpu", {}).get("process_cores"),
         "reported": bool(process.report),
     }
+    return page | ({"recording": report["recording"]} if "recording" in report else {})
 
 
 def _devices(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -262,10 +263,16 @@ def _cpu(reports: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
+#: What the two ends of a link count.
+_SENT = ("sent", "sent_whole", "failed")
+_RECEIVED = ("received", "lost", "refused", "last_refusal", "bytes")
+
+
 def _links(graph: Graph, here: Mapping[str, Known]) -> dict[str, Any]:
     """Every link as both ends counted it; balanced where what was sent arrived or is lost.
 
-    The counts are those of the last lives; where there was another, they need not agree.
+    An end counts since the last start of its process; where one of the two was started again, the
+    counts need not agree, and ``since_the_last_start_of`` names it.
     """
     reports = {name: process.report for name, process in here.items() if process.report}
     found: dict[str, Any] = {}
@@ -274,13 +281,16 @@ def _links(graph: Graph, here: Mapping[str, Known]) -> dict[str, Any]:
         for target in link.targets:
             end = reports.get(target, {}).get("links", {}).get("in", {}).get(str(link.port))
             page = {
-                "sent": sender["sent"] if sender else None,
-                "failed": sender["failed"] if sender else None,
-                **(end or {"received": None, "lost": None, "refused": {}, "bytes": None}),
+                **{key: sender[key] if sender else None for key in _SENT},
+                **(end or {**dict.fromkeys(_RECEIVED), "refused": {}}),
             }
-            lost_lives = any(here[name].past for name in (link.origin, target) if name in here)
-            balances = lost_lives or _link_balances(page)
-            found[f"{link.port} to {target}"] = page | {"balanced": balances}
+            started_again = [
+                name for name in (link.origin, target) if name in here and here[name].past
+            ]
+            found[f"{link.port} to {target}"] = page | {
+                "since_the_last_start_of": started_again,
+                "balanced": bool(started_again) or _link_balances(page),
+            }
     return found
 
 

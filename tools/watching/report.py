@@ -71,6 +71,13 @@ def print_report(report: Mapping[str, Any], console: Console) -> None:
             end = ", and it stopped" if stage["stopped"] else ""
             failed = f"{name}: {stage['errors']} of {stage['runs']} runs failed{end}"
             console.print(failed, style="red")
+    for link, counts in report.get("links", {}).items():
+        if refused := sum((counts.get("refused") or {}).values()):
+            text = f"{link}: {refused} messages refused, the last: {counts['last_refusal']}"
+            console.print(text, style="red", highlight=False)
+    for recording in _recordings(report):
+        if incomplete := incomplete_recording(recording):
+            console.print(incomplete, style="yellow", highlight=False)
     if report["ledger_balanced"]:
         console.print(
             "Every message is accounted for: used, not used as said above, or still queued."
@@ -92,13 +99,46 @@ def _started_again(processes: Mapping[str, Any]) -> str:
 
 
 def _processes(processes: Mapping[str, Any]) -> str:
-    """``Processes: main 52.1 %, mapping 8.4 % (1 restart) of a core.``"""
+    """``CPU of each process, of a core: main 52.1 %, mapping 8.4 % (1 restart).``"""
     told = []
     for name, process in processes.items():
         cores, restarts = process["cpu_cores"], process["restarts"]
-        text = f"{name} lost" if cores is None else f"{name} {100 * cores:.1f} %"
+        text = f"{name} not known" if cores is None else f"{name} {100 * cores:.1f} %"
         told.append(text + (f" ({restarts} restart{'s' * (restarts > 1)})" if restarts else ""))
-    return f"Processes: {', '.join(told)} of a core.\n"
+    return f"CPU of each process, of a core: {', '.join(told)}.\n"
+
+
+def _recordings(report: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """What the recorders of the run counted, one for each process that had one."""
+    parts = [report, *report.get("processes", {}).values()]
+    return [part["recording"] for part in parts if "recording" in part]
+
+
+def incomplete_recording(recording: Mapping[str, Any]) -> str:
+    """What a recording lacks and why, in a line; empty where it has all that it was asked for."""
+    path = recording["path"]
+    overrun = sorted(recording["lost_buffer_full"].items(), key=lambda item: -item[1])
+    lost = []
+    if overrun:
+        most = ", ".join(f"{count:,} {port}" for port, count in overrun[:3])
+        more = ", ..." if len(overrun) > 3 else ""
+        count = sum(count for _, count in overrun)
+        lost.append(f"{count:,} messages or hashes ({most}{more})")
+    if recording["decisions_lost"]:
+        lost.append(f"{recording['decisions_lost']:,} decisions")
+    told = []
+    if lost:
+        told.append(
+            f"{path} lacks {' and '.join(lost)}: its writer had too little CPU or too slow a disk, "
+            "and the run is never held back; --as-recorded may refuse it"
+        )
+    if unwritten := recording["lost_no_codec"]:
+        told.append(
+            f"{path} holds no messages of {', '.join(unwritten)}: their payload has no codec"
+        )
+    if recording["ended_early"]:
+        told.append(f"{path} ended before the run: {recording['ended_early']}")
+    return "\n".join(told)
 
 
 def _outputs(outputs: Mapping[str, Any]) -> Table:

@@ -131,3 +131,22 @@ def test_what_the_process_takes_beside_its_stages_is_said() -> None:
     assert "scheduler 2.3 %, unattributed 0.0 %" in said
     assert "the process in all 54.0 % of a core" in said
     assert _beside_stages({"process_cores": 0.54}) == ""  # a plan does not know
+
+
+def test_what_a_recording_lacks_is_said(report: dict[str, Any]) -> None:
+    whole = {
+        "path": "out/f.mcap",
+        "lost_buffer_full": {},
+        "lost_no_codec": {},
+        "decisions_lost": 0,
+        "ended_early": None,
+    }
+    assert printed(report | {"recording": whole}) == printed(report)
+    late = whole | {"lost_buffer_full": {"rgb/out": 3, "lidar/out": 9}, "decisions_lost": 2}
+    mapping = {"restarts": 0, "cpu_cores": 0.1, "recording": late}
+    said = " ".join(printed(report | {"processes": {"mapping": mapping}}))
+    assert "out/f.mcap lacks 12 messages or hashes (9 lidar/out, 3 rgb/out) and 2 decisions" in said
+    full = whole | {"ended_early": "No space left on device", "lost_no_codec": {"map/out": 5}}
+    said = " ".join(printed(report | {"recording": full}))
+    assert "f.mcap ended before the run: No space left on device" in said
+    assert "no messages of map/out" in said
