@@ -141,3 +141,17 @@ def test_a_suggestion_tells_locked_clocks_from_free_ones(
     assert found.suggested_offset_ms == pytest.approx(offset_ms)
     assert found.suggested_tolerance_ms == pytest.approx(tolerance_ms, abs=1)
     assert ("locked" in found.why) == (shift_ms > 0)
+
+
+def test_a_stream_with_holes_asks_for_no_tolerance_as_wide_as_its_holes(tmp_path: Path) -> None:
+    of = topology()
+    with recorder(tmp_path / "f.mcap", of) as kept:
+        flown = Flown(kept.scheduler(of))
+        entries = [(40 * n + 1, "lidar", 40.0 * n) for n in range(60)]
+        entries += [(21.0 * n + 2, "camera", 21.0 * n) for n in range(115) if not 40 <= n < 60]
+        for entry in sorted(entries):
+            flown.at(*entry)
+    (found,) = suggestions(explain(Flight(tmp_path / "f.mcap"), "fuse"))
+    assert found.suggested_tolerance_ms == pytest.approx(12, abs=1)
+    assert found.suggested_max_wait_ms < 40
+    assert "holes" in found.why
