@@ -148,11 +148,10 @@ def run(
     --as-recorded.
     """
     factor = parse_speed(speed)
-    from tools.recording.flight_graph import is_flight
     from tools.recording.several import flight_files
     from tools.running.run import run_file
 
-    own = flight is None and is_flight(graph)
+    own = flight is None and bool(flight_files(graph))
     if as_recorded:
         flights = flight_files(flight or graph)
         if not flights:

@@ -15,23 +15,14 @@ import yaml
 from pipeline.errors import DataError
 from pipeline.recording.channels import topic_of
 from pipeline.recording.flight import Flight
-from pipeline.recording.mcap import MAGIC
 from pipeline.scheduling.topology import Port
 from stages.codecs.registry import PayloadCodecs
 from tools.load import open_graph
+from tools.recording.several import flight_files, schedules
 
 if TYPE_CHECKING:
     from accelerators.registry import Registry
     from pipeline.graph.graph import Graph
-
-
-def is_flight(path: Path) -> bool:
-    """Whether a file is a recording, whatever it is called."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(MAGIC)) == MAGIC
-    except OSError:
-        return False
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,25 +55,29 @@ def own_graph(flight: Flight, name: str) -> Iterator[Path]:
         yield file
 
 
-def on_flight(files: GraphFiles, flight: Flight) -> tuple[Graph, Registry]:
-    """A graph whose sources are the messages of a flight; `files` may name the flight itself."""
+def on_flight(files: GraphFiles, flight: Path) -> tuple[Graph, Registry]:
+    """A graph whose sources are the messages of a flight, which may be in several files; `files`
+    may name the flight itself. Raises DataError."""
+    flights = [Flight(file) for file in flight_files(flight) or [flight]]
     with ExitStack() as stack:
-        if files.path == flight.path:
-            path = stack.enter_context(own_graph(flight, flight.manifest.graph))
+        if files.path == flight:
+            path = stack.enter_context(own_graph(flights[0], flights[0].manifest.graph))
             files = replace(files, path=path)
         graph, _ = files.open()
-        return files.open(*recorded_sources(graph, flight))
+        return files.open(*recorded_sources(graph, flights))
 
 
-def recorded_sources(graph: Graph, flight: Flight) -> list[str]:
-    """Settings that replace each source by what the flight recorded of it. Raises DataError."""
+def recorded_sources(graph: Graph, flights: Sequence[Flight]) -> list[str]:
+    """Settings that replace each source by what one of the files of a flight holds of it. Raises
+    DataError."""
     settings: list[str] = []
     missing: list[str] = []
     for node in graph.topology.stages:
         if not node.is_source:
             continue
         port = Port(node.name, *node.outputs[:1])
-        if port not in flight.channels:
+        flight = _holder(port, flights)
+        if flight is None:
             missing.append(node.name)
             continue
         stage = f"stages.{node.name}"
@@ -93,11 +88,26 @@ def recorded_sources(graph: Graph, flight: Flight) -> list[str]:
             f"{stage}.options.topic={json.dumps(topic_of(port))}",
         ]
     if missing:
-        has = ", ".join(str(port) for port in flight.channels)
+        paths = ", ".join(str(flight.path) for flight in flights)
+        has = ", ".join(dict.fromkeys(str(port) for flight in flights for port in flight.channels))
         raise DataError(
-            f"{flight.path}: holds nothing of the sources {', '.join(missing)}; it has {has or 0}"
+            f"{paths}: nothing recorded of the sources {', '.join(missing)}; there is {has or 0}"
         )
     return settings
+
+
+def _holder(port: Port, flights: Sequence[Flight]) -> Flight | None:
+    """The file with the messages of a port: that of the process that said them, else one in which
+    they arrived. Raises DataError where each start of the process left its own."""
+    holders = [flight for flight in flights if port in flight.channels]
+    said = [flight for flight in holders if schedules(flight.path, port.stage)] or holders
+    if len(said) > 1:
+        names = " or ".join(str(flight.path) for flight in said)
+        raise DataError(
+            f"the process of {port.stage} was started anew, and each start has a file of its own; "
+            f"name one in place of the flight: {names}"
+        )
+    return said[0] if said else None
 
 
 def payload_codecs(graph: Graph) -> PayloadCodecs:

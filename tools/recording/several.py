@@ -7,8 +7,17 @@ from pathlib import Path
 
 from pipeline.errors import DataError
 from pipeline.recording.flight import Flight
+from pipeline.recording.mcap import MAGIC
 from pipeline.scheduling.topology import Role
-from tools.recording.flight_graph import is_flight
+
+
+def is_flight(path: Path) -> bool:
+    """Whether a file is a recording, whatever it is called."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False
 
 
 def flight_files(path: Path) -> list[Path]:
@@ -35,7 +44,10 @@ def file_of_stage(path: Path, stage: str) -> Path:
     found = [file for file in files if schedules(file, stage)]
     if len(found) > 1:
         names = " or ".join(map(str, found))
-        raise DataError(f"{path}: the process of {stage} was started anew; name a file: {names}")
+        raise DataError(
+            f"{path}: the process of {stage} was started anew, and each start decided for itself, "
+            f"from nothing; explain one of them: {names}"
+        )
     return found[0] if found else files[0]
 
 

@@ -16,7 +16,6 @@ from pipeline.measuring.board import Board
 from pipeline.measuring.expectations import failed, verdicts
 from pipeline.measuring.trace import CAPACITY
 from pipeline.processes.supervisor import Supervisor
-from pipeline.recording.flight import Flight
 from pipeline.recording.mcap import Compression
 from tools.recording.flight_graph import GraphFiles, on_flight
 from tools.recording.record import recording
@@ -56,7 +55,7 @@ def run_file(
     Progress and warnings go to stderr; the table, or with `as_json` the report, to stdout.
     """
     given = GraphFiles(path, settings, overlays, models, out)
-    graph, catalog = given.open() if flight is None else on_flight(given, Flight(flight))
+    graph, catalog = given.open() if flight is None else on_flight(given, flight)
     if not quiet:
         print_warnings(graph.warnings)
     if report is not None:

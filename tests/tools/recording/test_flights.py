@@ -112,6 +112,24 @@ def test_a_flight_feeds_its_own_graph_or_another_at_any_speed(
         assert numbers(flown / out) == numbers(flown / "flown")
 
 
+def test_a_flight_in_several_files_feeds_each_source_from_the_one_that_holds_it(
+    flown: Path, overflight: Overflight
+) -> None:
+    for part, edges in (("main", "camera"), ("far", "lidar"), ("far.2", "lidar")):
+        words = ("--set", "parameters.rate=15", "--speed", "max", "--quiet", "--out", "parts")
+        record = ("--record", f"g.{part}.mcap", "--record-edges", edges)
+        assert overflight("run", "pairs.yaml", *words, *record).code == 0
+    refused = overflight("run", "g.mcap", "--speed", "max")
+    assert refused.code == 2
+    assert "name one in place of the flight: g.far.mcap or g.far.2.mcap" in refused.err
+    (flown / "g.far.2.mcap").unlink()
+    for number, words in enumerate((["g.mcap"], ["pairs.yaml", "g.mcap"])):
+        out = f"again{number}"
+        done = overflight("run", *words, "--speed", "max", "--out", out, "--quiet")
+        assert done.code == 0, done.err
+        assert numbers(flown / out) == numbers(flown / "flown")
+
+
 def test_faults_act_in_flight_once_and_over_a_replayed_flight_where_asked(
     flown: Path, overflight: Overflight
 ) -> None:
@@ -186,7 +204,7 @@ def test_a_source_that_was_not_recorded_is_refused(flown: Path, overflight: Over
     assert "the source lidar/out was not recorded" in done.err
     done = overflight("run", "g.mcap", "--speed", "max")
     assert done.code == 2
-    assert "holds nothing of the sources lidar" in done.err
+    assert "nothing recorded of the sources lidar" in done.err
 
 
 def test_info_tells_what_is_in_a_file(flown: Path, overflight: Overflight) -> None:

@@ -157,3 +157,5 @@ def test_a_process_that_was_killed_leaves_its_flight_and_begins_another(
     assert list(pages) == ["f.far.mcap", "f.far.2.mcap", "f.main.mcap"]
     assert all(page["replay"]["decisions_identical"] for page in pages.values())
     assert all(page["replay"]["outputs_different"] == 0 for page in pages.values())
+    asked = overflight("explain", "f.mcap", "--stage", "work").err
+    assert "explain one of them: f.far.mcap or f.far.2.mcap" in asked
