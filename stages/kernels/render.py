@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -93,28 +94,38 @@ def oblique_view(
     labels: NDArray[np.uint8],
     colors: NDArray[np.uint8],
     elevation_deg: float = 50.0,
+    frame: NDArray[np.int32] | None = None,
 ) -> NDArray[np.uint8]:
     """Voxels as cubes in parallel projection, seen from x and y low, `elevation_deg` above: RGB.
 
     `indices` (n, 3) with z up, `labels` (n,), `colors` (classes, 3). A cube's ground plan is a
-    diamond 4 pixels wide; its top is lightest, its right side darkest.
+    diamond 4 pixels wide; its top is lightest, its right side darkest. Pictures of the same
+    `frame` (k, 3) show the same part of the world; without one all voxels are shown.
     """
-    if len(indices) == 0:
+    frame = indices if frame is None else frame
+    if len(frame) == 0:
         return np.full((1, 1, 3), PAPER, dtype=np.uint8)
-    x, y, z = (indices - indices.min(axis=0)).T.astype(np.float64)
+    x, y, z = (indices - frame.min(axis=0)).T.astype(np.float64)
     elevation = math.radians(elevation_deg)
     deep, up = 2.0 * math.sin(elevation), math.sqrt(8.0) * math.cos(elevation)  # pixels per edge
-    column = np.rint(2.0 * (x - y)).astype(np.int64)
-    row = np.rint(-deep * (x + y) - up * z).astype(np.int64)
+
+    def pixels(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[np.int64]:
+        places = np.stack([2.0 * (x - y), -deep * (x + y) - up * z])
+        return np.asarray(np.rint(places), dtype=np.int64)
+
+    column, row = pixels(x, y, z)
     top, side = math.ceil(2 * deep), math.ceil(up)
     v, u = (offset.ravel() for offset in np.mgrid[: top + side, :4])
     shade = np.where(v < top, 1.0, np.where(u < 2, 0.82, 0.64))
-    column -= column.min()
-    row -= row.min()
-    picture = np.full((row.max() + top + side, column.max() + 4, 3), PAPER, dtype=np.uint8)
+    shown = pixels(*(frame - frame.min(axis=0)).T.astype(np.float64))
+    left, first = shown.min(axis=1)
+    right, last = shown.max(axis=1)
+    picture = np.full((last - first + top + side, right - left + 4, 3), PAPER, dtype=np.uint8)
+    inside = (column >= left) & (column <= right) & (row >= first) & (row <= last)
     far_first = np.lexsort((z, -(x + y)))  # the last write to a pixel stays
+    far_first = far_first[inside[far_first]]
     faces = (colors[:, None, :] * shade[:, None]).astype(np.uint8)  # (classes, pixels, 3)
-    at = row[far_first, None] + v, column[far_first, None] + u
+    at = row[far_first, None] - first + v, column[far_first, None] - left + u
     picture[at] = faces[labels[far_first]]
     return picture
 

@@ -90,6 +90,11 @@ class Truth:
 
     def of(self, observation: Observation) -> NDArray[np.uint8] | None:
         """(n,) the classes of a scan, asked for by rising stamps; None where nothing is known."""
+        labels = self.labels_of(observation)
+        return None if labels is None else labels.classes.ravel()
+
+    def labels_of(self, observation: Observation) -> Labels | None:
+        """Classes and instances of a scan, as `of`."""
         topic = f"truth/{observation.sensor}"
         if topic not in self._topics:
             return None
@@ -99,8 +104,8 @@ class Truth:
             self._by_sensor[topic] = source.messages()
         for message in self._by_sensor[topic]:
             if message.stamp == observation.stamp and isinstance(message.payload, Labels):
-                classes = message.payload.classes.ravel()
-                return classes if len(classes) == len(observation.points) else None
+                fits = message.payload.classes.size == len(observation.points)
+                return message.payload if fits else None
             if message.stamp > observation.stamp:
                 return None
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,23 +11,26 @@ from rich.console import Console
 
 from stages.kernels.map_query import select
 from stages.kernels.probability import read_out
-from stages.kernels.render import add_legend, encode_png, oblique_view, top_view
+from stages.kernels.render import add_legend, top_view
 from stages.kernels.voxels import pack
 from stages.observed import Observation, Said
-from stages.sinks.whole_file import whole_file
 from stages.taxonomy import load_taxonomy
-from stages.types import Cloud, SemanticVoxels
-from stages.voxel_map import VoxelMap
 from tools.propagation.pictures import range_panels
-from tools.tables.evidence import fused_evidence
+from tools.tables.daylight import draw_daylight
+from tools.tables.disaster import draw_disaster
+from tools.tables.experiment import Experiment
+from tools.tables.long_flight import draw_long_flight
+from tools.tables.map_pictures import from_aside, legend_of, map_of, write_picture
 from tools.tables.networks import ADAPTED, Networks
-from tools.tables.scan_judging import ScanNetwork
+from tools.tables.simulated import tables_of
+from tools.tables.table import Table
+from tools.tables.unseen_persons import draw_unseen_persons, recall_tables
 from tools.tables.views import cloud_of_flight
 from tools.tables.world import World
 from tools.train.aggregated import AggregatedCloud, scan_from
 from tools.train.scan_sources import LabeledPoints
 
-VOXEL_M, CONFIDENCE = 0.25, 0.5
+CONFIDENCE = 0.5
 WINDOWS = (0, 2, 5)
 #: Above the vehicle, m, in the pictures of views.
 HEIGHT_M = 8.0
@@ -41,18 +44,18 @@ def draw_views(cloud: AggregatedCloud, folder: Path) -> list[Path]:
     place = cloud.path[middle] + [0, 0, HEIGHT_M]
     scans = {window: scan_from(cloud, place, middle, window=window) for window in WINDOWS}
     above = top_view(cloud.points, cloud.classes, taxonomy.colors, 0.25, 2)
-    legend = [(n, taxonomy.colors[k].tolist()) for k, n in enumerate(taxonomy.names) if k]
+    legend = legend_of(cloud.classes)
     shown = _observation(scans[2])
     labelings: dict[str, NDArray[np.uint8] | None] = {
         f"what moves from {window} scans to each side": scans[window].classes for window in WINDOWS
     }
     return [
-        _write(folder / "figure-5-cloud.png", add_legend(above, legend, 8.0)),
-        _write(
+        write_picture(folder / "figure-5-cloud.png", add_legend(above, legend, 8.0)),
+        write_picture(
             folder / "figure-5-scan.png",
             range_panels(shown, {f"from {HEIGHT_M:g} m above": scans[2].classes}),
         ),
-        _write(folder / "figure-6.png", range_panels(_observation(scans[5]), labelings)),
+        write_picture(folder / "figure-6.png", range_panels(_observation(scans[5]), labelings)),
     ]
 
 
@@ -63,16 +66,16 @@ def draw_maps(world: World, networks: Networks, flight: str, folder: Path) -> li
     before = networks.open("source", 0, 512, ADAPTED)
     after = networks.open("views-map", 0, 512, ADAPTED)
     maps = {
-        "b-fused": _map(world, flight, before, cameras=True),
-        "c-camera-only": _map(world, flight, None, cameras=True),
-        "d-fused-retrained": _map(world, flight, after, cameras=True),
+        "b-fused": map_of(world, flight, before, cameras=True),
+        "c-camera-only": map_of(world, flight, None, cameras=True),
+        "d-fused-retrained": map_of(world, flight, after, cameras=True),
     }
-    true = world.true_map(flight)
-    hit = np.isin(pack(true.indices), pack(maps["b-fused"].indices))
+    true, frame = world.true_map(flight), maps["b-fused"].indices  # every voxel that was hit
+    hit = np.isin(pack(true.indices), pack(frame))
     written = [
-        _write(
+        write_picture(
             folder / f"figure-{number}-a-true.png",
-            _picture(true.indices[hit], true.classes[hit]),
+            from_aside(true.indices[hit], true.classes[hit], frame),
         )
     ]
     classes = len(load_taxonomy())
@@ -90,38 +93,29 @@ def draw_maps(world: World, networks: Networks, flight: str, folder: Path) -> li
             target = (
                 folder / f"figure-{figure}-{name}{'' if figure == number else '-' + flight}.png"
             )
-            written.append(_write(target, _picture(voxels.indices[rows], label)))
+            written.append(write_picture(target, from_aside(voxels.indices[rows], label, frame)))
     return written
 
 
-def draw_figure(number: int, world: World, networks: Networks, console: Console) -> list[Path]:
-    """The pictures of a figure, below the world's folder."""
-    folder = world.folder / "figures"
+def draw_figure(
+    number: int, experiment: Experiment, console: Console
+) -> tuple[list[Path], Sequence[Table]]:
+    """The pictures of a figure, below the world's folder, and what is counted beside them."""
+    one = experiment
+    folder = one.world.folder / "figures"
     if number in (5, 6):
-        return draw_views(cloud_of_flight(world.flights("views")[0]), folder)
+        return draw_views(cloud_of_flight(one.world.flights("views")[0]), folder), ()
+    if number == 12:
+        return draw_unseen_persons(one, folder), recall_tables(one)
+    if number == 16:
+        return draw_long_flight(one.world, one.networks, folder), ()
+    if number == 17:
+        return draw_disaster(one.world, one.networks, folder), tables_of(one, "17")
+    if number == 18:
+        return draw_daylight(one.world, folder), ()
     flight = "flight_b" if number == 15 else "flight_a"
     console.print(f"mapping {flight} three times ...", highlight=False)
-    return draw_maps(world, networks, flight, folder)
-
-
-def _map(
-    world: World, flight: str, network: ScanNetwork | None, *, cameras: bool
-) -> SemanticVoxels:
-    built = VoxelMap(voxel_m=VOXEL_M, classes=len(load_taxonomy()))
-    for scan in world.judged(flight):
-        observation = scan.observation
-        if observation.map_from_sensor is None:
-            continue
-        cloud: Cloud = fused_evidence(observation, network, cameras=cameras)
-        built.integrate(cloud, observation.map_from_sensor, observation.stamp)
-    return built.snapshot()
-
-
-def _picture(indices: NDArray[np.int32], labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    taxonomy = load_taxonomy()
-    present: Mapping[int, None] = dict.fromkeys(np.unique(labels).tolist())
-    legend = [(taxonomy.names[k], taxonomy.colors[k].tolist()) for k in present if k]
-    return add_legend(oblique_view(indices, labels, taxonomy.colors), legend)
+    return draw_maps(one.world, one.networks, flight, folder), ()
 
 
 def _observation(scan: LabeledPoints) -> Observation:
@@ -129,9 +123,3 @@ def _observation(scan: LabeledPoints) -> Observation:
     return Observation(
         0, scan.points, scan.remission, scan.shape, "lidar", None, nothing, None, False
     )
-
-
-def _write(path: Path, picture: NDArray[np.uint8]) -> Path:
-    with whole_file(path) as file:
-        file.write(encode_png(picture))
-    return path

@@ -31,6 +31,9 @@ ELEVATION_RAD = (-np.pi / 4, np.pi / 4)
 #: Scans that tell the figures of a source.
 MEASURED = 40
 SOURCE, ADAPTED, VIEWS = "source", "adapted", "views"
+#: What labels a further iteration: the fused map of a flight with this network in it, by part.
+RETRAINED = "views-map"
+AGAIN = {"again": "flight_a", "again-disaster": "disaster"}
 
 
 class Networks:
@@ -106,10 +109,14 @@ class Networks:
             return [one.resolve() for one in self._world.flights("source")]
         if part == "views":
             return [self._views(one) for one in self._world.flights("views")]
-        teacher = {"map": Teacher.CAMERA_MAP, "unlabeled": Teacher.CAMERA_MAP}.get(part)
-        if teacher is None:
-            teacher = Teacher(part)
-        return [self._labels(teacher, seed).resolve()]
+        if part == Teacher.FUSED_MAP:
+            return [self._fused_labels(part, "flight_a", SOURCE, seed)]
+        if part in AGAIN:
+            return [self._fused_labels(part, AGAIN[part], RETRAINED, seed)]
+        teacher = Teacher.OVERLAY if part == Teacher.OVERLAY else Teacher.CAMERA_MAP
+        observed = self._world.folder / "flight_a"
+        folder = self._world.folder / f"labels-{teacher.value}"
+        return [self._labeled("flight_a", teacher, observed, folder)]
 
     def _views(self, flight: Path) -> Path:
         """The views over a driven street, as a sequence: `views_of_flight` in files."""
@@ -120,35 +127,35 @@ class Networks:
             write_views(flight, folder)
         return folder.resolve()
 
-    def _labels(self, teacher: Teacher, seed: int) -> Path:
-        """Flight A, labeled by a teacher; the fused one is this seed's source network's."""
-        self._world.observed("flight_a")
-        (flight,) = self._world.flights("flight_a")
-        order = Order.of(flight, None)
-        folder = self._world.folder / f"labels-{teacher.value}"
-        observed = self._world.folder / "flight_a"
-        if teacher is Teacher.FUSED_MAP:
-            folder = self._world.folder / f"labels-fused-{seed}"
-            observed = self._observed_by_source(folder, seed)
+    def _fused_labels(self, part: str, flight: str, network: str, seed: int) -> Path:
+        """A flight with the labels of its fused map, which has this seed's network in it."""
+        folder = self._world.folder / f"labels-{part}-{seed}"
+        observed = self._observed_with(flight, network, seed, folder)
+        return self._labeled(flight, Teacher.FUSED_MAP, observed, folder)
+
+    def _labeled(self, flight: str, teacher: Teacher, observed: Path, folder: Path) -> Path:
+        """A flight, labeled by a teacher of its observations."""
+        self._world.observed(flight)
         if not (folder / "report.json").is_file():
+            (file,) = self._world.flights(flight)
             note = yaml.safe_load((observed / NOTE).read_text())
-            order = replace(order, settings=tuple(note["settings"]))
+            order = replace(Order.of(file, None), settings=tuple(note["settings"]))
             product = Product(folder, label_set=None, observed=observed, surveyed=False)
             propagate(order, Settings(teacher=teacher), product, self._console)
-        return folder
+        return folder.resolve()
 
-    def _observed_by_source(self, folder: Path, seed: int) -> Path:
-        """The observations of flight A with the source network's evidence in the fused one."""
+    def _observed_with(self, flight: str, name: str, seed: int, folder: Path) -> Path:
+        """The observations of a flight with a network's evidence in the fused one."""
         made = folder / NOTE
         if made.is_file():
             return folder
-        network = self.open("source", seed, 512, ADAPTED)
-        for file in self._world.observed("flight_a"):
+        network = self.open(name, seed, 512, ADAPTED)
+        for file in self._world.observed(flight):
             observation = read_observation(file)
             both = fused_evidence(observation, network, cameras=True)
             write_observation(folder / FOLDER / file.name, with_fused(observation, both))
         with whole_file(made) as target:
-            target.write((self._world.folder / "flight_a" / NOTE).read_bytes())
+            target.write((self._world.folder / flight / NOTE).read_bytes())
         return folder
 
     def _statistics(self) -> Path:

@@ -34,6 +34,7 @@ class TablePlan(_Entry):
 
     title: str
     rows: dict[str, RowPlan]
+    flights: list[str] = ["flight_a", "flight_b"]  #: that the rows are judged on
 
 
 class NetworkPlan(_Entry):
@@ -50,6 +51,20 @@ class Flights(_Entry):
 
     seeds: list[int]
     preset: dict[str, Any]
+
+
+class FigureFlight(_Entry):
+    """A flight of a figure, as changes to flight A of the scale."""
+
+    seed: int
+    times: float = Field(1.0, gt=0)  #: as long
+    preset: dict[str, Any]
+
+    def of(self, flight: Flights) -> Flights:
+        """The flight at the scale of `flight`."""
+        preset = flight.preset | self.preset
+        preset["duration_s"] = self.times * flight.preset["duration_s"]
+        return Flights(seeds=[self.seed], preset=preset)
 
 
 class Scale(_Entry):
@@ -69,6 +84,7 @@ class Plans(_Entry):
 
     tables: dict[str, TablePlan]
     networks: dict[str, NetworkPlan]
+    flights: dict[str, FigureFlight]
 
 
 @cache

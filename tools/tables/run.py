@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
@@ -25,18 +25,22 @@ T = TypeVar("T")
 def run_table(table: PaperTable, order: TableOrder, *, as_json: bool) -> None:
     """Make it, or go on making it. Raises OverflightError."""
     tables = _unless_stopped(order, lambda: _tables(table, order, Console(stderr=True)))
-    name = f"table-{table.value}"
+    _write(tables, order.output / f"table-{table.value}", as_json=as_json)
+
+
+def _write(tables: Sequence[Table], target: Path, *, as_json: bool) -> None:
+    """As Markdown and JSON, and shown."""
     told = json.dumps([one.told() for one in tables], indent=2)
     page = "\n".join(one.markdown() for one in tables)
     for ending, text in (("md", page), ("json", told)):
-        with whole_file(order.output / f"{name}.{ending}") as file:
+        with whole_file(target.with_suffix(f".{ending}")) as file:
             file.write(text.encode())
     if as_json:
         typer.echo(told)
         return
     for one in tables:
         one.show(Console())
-    typer.echo(f"Written: {order.output / name}.md, .json")
+    typer.echo(f"Written: {target}.md, .json")
 
 
 def _tables(table: PaperTable, order: TableOrder, console: Console) -> list[Table]:
@@ -49,23 +53,25 @@ def _tables(table: PaperTable, order: TableOrder, console: Console) -> list[Tabl
         if order.steps is not None:
             real = replace(real, steps=order.steps)
         return [real_table(real, console)]
-    from tools.tables.simulated import simulated_tables
+    from tools.tables.experiment import Experiment
+    from tools.tables.simulated import tables_of
 
-    return simulated_tables(table, order, console)
+    return tables_of(Experiment.of(order, console), table.value)
 
 
 def run_figure(figure: PaperFigure, order: TableOrder) -> None:
     """Draw it, in the world of the tables. Raises OverflightError."""
 
-    def draw() -> list[Path]:
+    def draw() -> tuple[list[Path], Sequence[Table]]:
+        from tools.tables.experiment import Experiment
         from tools.tables.figures import draw_figure
-        from tools.tables.simulated import world_of
 
         console = Console(stderr=True)
-        world, networks, _ = world_of(order, console)
-        return draw_figure(int(figure.value), world, networks, console)
+        return draw_figure(int(figure.value), Experiment.of(order, console), console)
 
-    written = _unless_stopped(order, draw)
+    written, tables = _unless_stopped(order, draw)
+    if tables:
+        _write(tables, written[0].parent / f"figure-{figure.value}", as_json=False)
     typer.echo("Written: " + ", ".join(map(str, written)))
 
 

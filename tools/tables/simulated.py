@@ -8,11 +8,10 @@ against the class of the point's voxel in a map annotated by hand.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 
 from stages.kernels.evaluation import map_confusion
 from stages.kernels.metrics import WIDTH, confusion
@@ -22,56 +21,56 @@ from stages.taxonomy import load_taxonomy
 from stages.types import Cloud
 from stages.voxel_map import VoxelMap
 from tools.tables.evidence import classes_of, fused_evidence
-from tools.tables.networks import Networks
-from tools.tables.plan import RowPlan, Scale, plans, scale_named
-from tools.tables.rows import Rows, Verdict
+from tools.tables.experiment import Experiment
+from tools.tables.plan import RowPlan, TablePlan, plans
+from tools.tables.rows import Verdict
 from tools.tables.scan_judging import ScanNetwork
 from tools.tables.table import Line, Table
 from tools.tables.world import JudgedScan, World
 
-if TYPE_CHECKING:
-    from tools.tables.names import PaperTable
-    from tools.tables.order import TableOrder
-
 VOXEL_M = 0.25
-FLIGHTS = {"flight_a": "flight A, whose labels were propagated", "flight_b": "city B, held out"}
+FLIGHTS = {
+    "flight_a": "flight A, whose labels were propagated",
+    "flight_b": "city B, held out",
+    "disaster": "a disaster site in another city",
+}
 WHY = (
     "read the paper's figures for their order: its world, its sensors and its 20,000 scans of "
     "SemanticKITTI are others, and one set of weights sees both image sizes here"
 )
 
-
-def world_of(order: TableOrder, console: Console) -> tuple[World, Networks, int]:
-    """The world and the networks of an order, and how long each of these learns."""
-    name = "quick" if order.quick else "full"
-    scale = scale_named(name)
-    steps = order.steps or scale.steps
-    world = World(order.output / name, scale, console)
-    return world, Networks(world, steps, order.threads, console), steps
+#: How a row is judged on a flight.
+Judge = Callable[[World, RowPlan, ScanNetwork | None, str], Verdict]
 
 
-def simulated_tables(table: PaperTable, order: TableOrder, console: Console) -> list[Table]:
+def tables_of(experiment: Experiment, name: str) -> list[Table]:
     """One table for each judged flight. Raises OverflightError, `tools.train.loop.Interrupted`."""
-    world, networks, steps = world_of(order, console)
-    seeds = 1 if order.quick else order.seeds
-    conditions = {"scale": world.scale.model_dump(mode="json"), "steps": steps}
-    rows = Rows(world.folder, conditions, console)
-    plan = plans().tables[table.value]
-    verdicts: dict[tuple[str, str], list[Verdict]] = {}
-    for seed in range(seeds):
-        for key, row in plan.rows.items():
-            for flight in FLIGHTS:
-                fill = _filler(world, networks, row, flight, seed)
-                verdict = rows.filled(f"{key}-{flight}", seed, fill)
-                verdicts.setdefault((key, flight), []).append(verdict)
+    plan = plans().tables[name]
+    known = any(row.mean is not None for row in plan.rows.values())
+    verdicts = filled(experiment, plan, judge_row, "" if known else f"{name}-")
+    title = f"Table {name}: {plan.title}" if known else plan.title
     return [
         Table(
-            f"Table {table.value}: {plan.title} ({told})",
+            f"{title} ({FLIGHTS[flight]})",
             [_line(row, verdicts[key, flight]) for key, row in plan.rows.items()],
-            (*_conditions(world.scale, steps, quick=order.quick), WHY),
+            (*experiment.conditions(), *([WHY] * known)),
         )
-        for flight, told in FLIGHTS.items()
+        for flight in plan.flights
     ]
+
+
+def filled(
+    experiment: Experiment, plan: TablePlan, judge: Judge, prefix: str = ""
+) -> dict[tuple[str, str], list[Verdict]]:
+    """The verdicts of each (row, flight), one per seed; what is there already is read."""
+    verdicts: dict[tuple[str, str], list[Verdict]] = {}
+    for seed in range(experiment.seeds):
+        for key, row in plan.rows.items():
+            for flight in plan.flights:
+                fill = _filler(experiment, row, flight, seed, judge)
+                verdict = experiment.rows.filled(f"{prefix}{key}-{flight}", seed, fill)
+                verdicts.setdefault((key, flight), []).append(verdict)
+    return verdicts
 
 
 def _line(row: RowPlan, verdicts: Sequence[Verdict]) -> Line:
@@ -81,36 +80,32 @@ def _line(row: RowPlan, verdicts: Sequence[Verdict]) -> Line:
     return Line(row.title, verdicts, row.mean, note)
 
 
-def _conditions(scale: Scale, steps: int, *, quick: bool) -> list[str]:
-    told = [
-        f"{steps} steps of {scale.batch} half scans, SalsaNext x {scale.width:g}, "
-        f"flights of {scale.flight_a.preset['duration_s']:g} s"
-    ]
-    if quick:
-        told.append("--quick shows that the table can be made; its networks have hardly learned")
-    return told
-
-
 def _filler(
-    world: World, networks: Networks, row: RowPlan, flight: str, seed: int
+    experiment: Experiment, row: RowPlan, flight: str, seed: int, judge: Judge
 ) -> Callable[[], Verdict]:
     def fill() -> Verdict:
         network = None
         if row.network is not None:
-            network = networks.open(row.network, seed, row.size, row.normal)
-        if row.map:
-            return _judge_map(world, row, network, flight)
-        return _judge_scans(world, row, network, flight)
+            network = experiment.networks.open(row.network, seed, row.size, row.normal)
+        return judge(experiment.world, row, network, flight)
 
     return fill
 
 
-def _judge_scans(world: World, row: RowPlan, network: ScanNetwork | None, flight: str) -> Verdict:
+def judge_row(world: World, row: RowPlan, network: ScanNetwork | None, flight: str) -> Verdict:
+    """As a map where the row says so, else scan by scan."""
+    if row.map:
+        return judge_map(world, row, network, flight)
+    return judge_scans(world, row, network, flight)
+
+
+def judge_scans(world: World, row: RowPlan, network: ScanNetwork | None, flight: str) -> Verdict:
+    """Point by point; and persons where no camera looks."""
     total = np.zeros((WIDTH, WIDTH), dtype=np.int64)
     person = load_taxonomy().id("person")
     unseen = found = 0
     for scan in world.judged(flight):
-        said = classes_of(_cloud(scan, row, network))
+        said = classes_of(cloud_of(scan, row, network))
         judged = scan.truth > 0
         if row.view == "camera":
             judged &= scan.visible
@@ -126,12 +121,13 @@ def _judge_scans(world: World, row: RowPlan, network: ScanNetwork | None, flight
     return Verdict.of(total, "paper", facts=facts)
 
 
-def _cloud(scan: JudgedScan, row: RowPlan, network: ScanNetwork | None) -> Cloud:
+def cloud_of(scan: JudgedScan, row: RowPlan, network: ScanNetwork | None) -> Cloud:
+    """What a row says of a scan's points."""
     cameras = row.fused or network is None
     return fused_evidence(scan.observation, network, cameras=cameras)
 
 
-def _judge_map(world: World, row: RowPlan, network: ScanNetwork | None, flight: str) -> Verdict:
+def judge_map(world: World, row: RowPlan, network: ScanNetwork | None, flight: str) -> Verdict:
     """Voxel by voxel against the true map, over the voxels that any return of the flight hit."""
     classes = len(load_taxonomy())
     built = VoxelMap(voxel_m=VOXEL_M, classes=classes)
@@ -140,7 +136,7 @@ def _judge_map(world: World, row: RowPlan, network: ScanNetwork | None, flight: 
         pose = scan.observation.map_from_sensor
         if pose is None:
             continue
-        cloud = _cloud(scan, row, network)
+        cloud = cloud_of(scan, row, network)
         built.integrate(cloud, pose, scan.observation.stamp)
         hit = Cloud(cloud.points, cloud.log_scores, scan.truth > 0, pose, cloud.sensor)
         everything.integrate(hit, pose, scan.observation.stamp)

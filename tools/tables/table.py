@@ -46,6 +46,8 @@ class Table:
     title: str
     lines: Sequence[Line]
     conditions: Sequence[str] = field(default=())  #: what a reader has to know beside it
+    measure: str = "IoU in %"  #: of the cells
+    value: str = "mean"  #: the column that rows are ordered by
 
     def classes(self) -> list[str]:
         """The columns."""
@@ -95,7 +97,7 @@ class Table:
     def markdown(self) -> str:
         """As it stands in BENCHMARK.md."""
         columns = self.classes()
-        head = ["row", *columns, "mean", "spread", "paper"]
+        head = [self.measure, *columns, self.value, "spread", "paper"]
         lines = [f"**{self.title}**", "", "| " + " | ".join(head) + " |"]
         lines.append("|" + "---|" * len(head))
         for line in self.lines:
@@ -107,8 +109,8 @@ class Table:
     def show(self, console: Console) -> None:
         """On a terminal."""
         shown = RichTable(title=self.title, title_justify="left", box=None)
-        shown.add_column("IoU in %")
-        for name in (*self.classes(), "mean", "spread", "paper"):
+        shown.add_column(self.measure)
+        for name in (*self.classes(), self.value, "spread", "paper"):
             shown.add_column(name, justify="right")
         for line in self.lines:
             cells = [_cell(line.of_class(name)) for name in self.classes()]

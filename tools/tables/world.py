@@ -23,7 +23,7 @@ from stages.types import Scan
 from tools.propagation.observing import Order, observe
 from tools.propagation.survey import Truth
 from tools.simulate import simulate_file
-from tools.tables.plan import Flights, Scale
+from tools.tables.plan import Flights, Scale, plans
 
 #: Nearer returns are the vehicle itself.
 MIN_RANGE_M = 1.0
@@ -36,6 +36,7 @@ class JudgedScan:
     observation: Observation
     truth: NDArray[np.uint8]  #: (n,) classes, 0 without a return
     visible: NDArray[np.bool_]  #: (n,) in the image of a color camera, hidden or not
+    things: NDArray[np.uint16]  #: (n,) which thing of the simulation it is, 0 without a return
 
     @property
     def scan(self) -> Scan:
@@ -53,12 +54,16 @@ class World:
         self._console = console
 
     def flights(self, name: str) -> list[Path]:
-        """The files of the scale's flights of that name. Raises DataError."""
-        flights: Flights = getattr(self.scale, name)
+        """The files of the scale's flights of that name, or of a figure's. Raises DataError."""
+        extra = plans().flights
+        if name in extra:
+            flights = extra[name].of(self.scale.flight_a)
+        else:
+            flights = getattr(self.scale, name)
         return [self._flight(name, flights, seed) for seed in flights.seeds]
 
     def observed(self, name: str) -> list[Path]:
-        """The observations of flight_a or flight_b: the networks run once."""
+        """The observations of a flight of the vehicle: the networks run once."""
         (flight,) = self.flights(name)
         settings: tuple[str, ...] = ()
         if (part := self.scale.flight_a.preset.get("scale", 1.0)) < 1.0:
@@ -72,13 +77,13 @@ class World:
         return files
 
     def judged(self, name: str) -> Iterator[JudgedScan]:
-        """The scans of flight_a or flight_b with truth and view. Raises DataError."""
+        """The scans of a flight of the vehicle with truth and view. Raises DataError."""
         (flight,) = self.flights(name)
         sensors, truths = calibration(path=flight), Truth(flight)
         cameras = [camera for camera in sensors.cameras() if camera.startswith("rgb")]
         for file in self.observed(name):
             observation = read_observation(file)
-            truth = truths.of(observation)
+            truth = truths.labels_of(observation)
             if truth is None:
                 raise DataError(f"{flight}: says nothing true of the scan at {observation.stamp}")
             returns = has_return(as_input(observation.points), MIN_RANGE_M)
@@ -87,7 +92,9 @@ class World:
                 chain = mounted(sensors, camera, observation.sensor)
                 seen = look(sensors.camera(camera), observation.points, returns, chain)
                 visible[seen.index] = True
-            yield JudgedScan(observation, np.where(returns, truth, 0).astype(np.uint8), visible)
+            classes = np.where(returns, truth.classes.ravel(), 0).astype(np.uint8)
+            things = np.where(returns, truth.instances.ravel(), 0).astype(np.uint16)
+            yield JudgedScan(observation, classes, visible, things)
 
     def true_map(self, name: str) -> LabeledVoxels:
         """The classes of the voxels that surfaces pass through."""
@@ -99,8 +106,16 @@ class World:
                 return message.payload
         raise DataError(f"{flight}: holds no true map")
 
+    def preset_of(self, name: str) -> Path:
+        """The preset that the only flight of that name was simulated from."""
+        (flight,) = self.flights(name)
+        return self._preset(flight.stem)
+
+    def _preset(self, stem: str) -> Path:
+        return self.folder / "presets" / f"{stem}.yaml"
+
     def _flight(self, name: str, flights: Flights, seed: int) -> Path:
-        preset = self.folder / "presets" / f"{name}-{seed}.yaml"
+        preset = self._preset(f"{name}-{seed}")
         with whole_file(preset) as file:
             file.write(yaml.safe_dump(flights.preset | {"seed": seed}).encode())
         flight = self.folder / name / f"{name}-{seed}.mcap"

@@ -13,6 +13,7 @@ pytest.importorskip("torch", reason="training needs the extra 'train'")
 from rich.console import Console
 
 from stages.types import Scan
+from tools.propagation.settings import Teacher
 from tools.tables.networks import Networks
 from tools.tables.plan import plans, scale_named
 from tools.tables.real import thinned
@@ -48,10 +49,20 @@ class World:
 
 
 class Placed(Networks):
-    """Networks whose labels and views are there already."""
+    """Networks whose labels and views are there already; notes which were asked for."""
 
-    def _labels(self, teacher: object, seed: int) -> Path:
-        return self._world.folder / f"labels-{teacher}"
+    def __init__(self, world: World) -> None:
+        super().__init__(world, 10, 1, QUIET)  # type: ignore[arg-type]
+        self.labeled: list[tuple[str, Teacher]] = []
+        self.observers: list[str] = []
+
+    def _labeled(self, flight: str, teacher: Teacher, observed: Path, folder: Path) -> Path:
+        self.labeled.append((flight, teacher))
+        return folder
+
+    def _observed_with(self, flight: str, name: str, seed: int, folder: Path) -> Path:
+        self.observers.append(f"{name}-{seed} on {flight}")
+        return folder
 
     def _views(self, flight: Path) -> Path:
         return flight.with_suffix(".views")
@@ -59,7 +70,7 @@ class Placed(Networks):
 
 @pytest.mark.parametrize("name", sorted(plans().networks))
 def test_a_mixture_holds_its_parts_each_normalized_as_its_sensor(name: str, tmp_path: Path) -> None:
-    networks = Placed(World(tmp_path), 10, 1, QUIET)  # type: ignore[arg-type]
+    networks = Placed(World(tmp_path))
     network = plans().networks[name]
     entries = yaml.safe_load(networks._mixture(name, network, 0).read_text())["sources"]
     shares: dict[str, float] = {}
@@ -70,6 +81,19 @@ def test_a_mixture_holds_its_parts_each_normalized_as_its_sensor(name: str, tmp_
     assert {k: v for k, v in (expected | {"adapted": target}).items() if v} == shares
     hidden = [entry for entry in entries if entry.get("labels") is False]
     assert len(hidden) == ("unlabeled" in network.parts)
+
+
+def test_a_further_iteration_learns_from_maps_with_the_retrained_network_in_them(
+    tmp_path: Path,
+) -> None:
+    networks = Placed(World(tmp_path))
+    networks._mixture("again-disaster", plans().networks["again-disaster"], 2)
+    assert networks.observers == ["views-map-2 on flight_a", "views-map-2 on disaster"]
+    assert set(networks.labeled) == {
+        ("flight_a", Teacher.FUSED_MAP), ("disaster", Teacher.FUSED_MAP),
+    }  # fmt: skip
+    networks._mixture("views-fused", plans().networks["views-fused"], 2)
+    assert networks.observers[-1] == "source-2 on flight_a"
 
 
 def test_a_scan_is_split_into_thinner_ones_without_losing_a_point(tmp_path: Path) -> None:

@@ -6,52 +6,19 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 
+from judged_scans import BUILDING, PERSON, ROAD, VEHICLE, Network, judged, row
+
 from stages.labels import LabeledVoxels
-from stages.observed import Observation, Said
-from stages.types import Scan
+from stages.simulation.specification import Preset
 from tools.tables.evidence import classes_of, fused_evidence, with_fused
-from tools.tables.plan import RowPlan, plans, scale_named
-from tools.tables.simulated import _judge_map, _judge_scans
+from tools.tables.networks import AGAIN
+from tools.tables.plan import plans, scale_named
+from tools.tables.simulated import judge_map, judge_scans
 from tools.tables.world import JudgedScan
 from tools.train.scan_recipes import RECIPES
-
-ROAD, PERSON, VEHICLE, BUILDING = 3, 5, 13, 1
-
-
-def rows(classes: list[int], sure: float = 4.0) -> NDArray[np.float32]:
-    scores = np.zeros((len(classes), 16), np.float32)
-    scores[np.arange(len(classes)), classes] = sure
-    scores[:, 15] = -1e4
-    return scores
-
-
-class Network:
-    """Says a class of each point, and nothing of the last one."""
-
-    def __init__(self, classes: list[int], sure: float = 2.0) -> None:
-        self._rows = rows(classes, sure)
-
-    def scores(self, scan: Scan) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        said = np.ones(len(scan.points), np.bool_)
-        said[-1] = False
-        return self._rows, said
-
-
-def judged(truth: list[int], visible: list[int], camera: dict[int, int]) -> JudgedScan:
-    n = len(truth)
-    points = np.column_stack([np.arange(n) + 2.1, np.full(n, 0.1), np.full(n, 0.1)])
-    index = np.array(sorted(camera), np.int32)
-    said = Said(index, rows([camera[k] for k in sorted(camera)]).astype(np.float16))
-    observation = Observation(
-        0, points.astype(np.float32), None, None, "lidar", np.eye(4), said, None, False
-    )
-    seen = np.zeros(n, np.bool_)
-    seen[visible] = True
-    return JudgedScan(observation, np.array(truth, np.uint8), seen)
 
 
 class World:
@@ -73,16 +40,24 @@ class World:
 SCAN = judged([ROAD, ROAD, VEHICLE, PERSON, PERSON], [0, 1, 2, 3], {0: ROAD, 1: ROAD, 2: VEHICLE})
 
 
-def row(**changes: object) -> RowPlan:
-    return RowPlan.model_validate({"title": "t"} | changes)
-
-
 def test_the_tables_have_the_papers_rows_and_two_controls() -> None:
     tables = plans().tables
     assert {name: len(table.rows) for name, table in tables.items()} == {
-        "3": 8, "4": 6, "5": 13, "6": 4,
+        "3": 8, "4": 6, "5": 13, "6": 4, "second": 3, "12": 5, "17": 4,
     }  # fmt: skip
     assert sum(one.mean is None for one in tables["5"].rows.values()) == 2
+
+
+def test_a_flight_of_a_figure_is_flight_a_changed() -> None:
+    scale = scale_named("quick")
+    long, site = (plans().flights[name].of(scale.flight_a) for name in ("long", "disaster"))
+    length = scale.flight_a.preset["duration_s"]
+    assert (long.preset["duration_s"], site.preset["duration_s"]) == (4 * length, length)
+    assert site.preset["site"] == "disaster"
+    assert site.preset["rig"] == scale.flight_a.preset["rig"]
+    assert "site" not in scale.flight_a.preset
+    for one in (long, site):
+        Preset.model_validate(one.preset | {"seed": one.seeds[0]})
 
 
 def test_every_row_names_a_network_and_every_network_known_parts() -> None:
@@ -90,7 +65,7 @@ def test_every_row_names_a_network_and_every_network_known_parts() -> None:
     for table in plans().tables.values():
         for one in table.rows.values():
             assert one.network is None or one.network in networks
-    parts = {"source", "views", "map", "overlay", "fused", "unlabeled"}
+    parts = {"source", "views", "map", "overlay", "fused", "unlabeled", *AGAIN}
     for network in networks.values():
         assert set(network.parts) <= parts
         assert network.recipe in RECIPES
@@ -120,14 +95,14 @@ def test_background_is_never_said() -> None:
 
 def test_a_row_in_the_cameras_view_leaves_the_rest_out() -> None:
     network = Network([ROAD, ROAD, VEHICLE, ROAD, PERSON])
-    whole = _judge_scans(World(SCAN), row(network="source"), network, "flight_a")  # type: ignore[arg-type]
+    whole = judge_scans(World(SCAN), row(network="source"), network, "flight_a")  # type: ignore[arg-type]
     assert whole.points == {
         "building": 0, "road": 2, "vegetation": 0, "person": 2, "bike": 0, "car": 1, "object": 0,
     }  # fmt: skip
     assert whole.classes["person"] == 0
     assert whole.facts["person_points_out_of_view"] == 1
     assert whole.facts["person_recall_out_of_view"] == 0
-    part = _judge_scans(
+    part = judge_scans(
         World(SCAN),
         row(network="source", view="camera"),
         network,
@@ -138,7 +113,7 @@ def test_a_row_in_the_cameras_view_leaves_the_rest_out() -> None:
 
 
 def test_what_the_images_say_nothing_of_is_no_part_of_their_row() -> None:
-    verdict = _judge_scans(World(SCAN), row(view="camera"), None, "flight_a")  # type: ignore[arg-type]
+    verdict = judge_scans(World(SCAN), row(view="camera"), None, "flight_a")  # type: ignore[arg-type]
     assert verdict.points["person"] == 0
     assert verdict.mean == pytest.approx(100)
 
@@ -147,7 +122,7 @@ def test_what_the_images_say_nothing_of_is_no_part_of_their_row() -> None:
 def test_a_voxel_that_a_map_lacks_is_a_miss_unless_the_view_is_the_cameras(
     view: str, person: int
 ) -> None:
-    verdict = _judge_map(World(SCAN), row(map=True, view=view), None, "flight_a")  # type: ignore[arg-type]
+    verdict = judge_map(World(SCAN), row(map=True, view=view), None, "flight_a")  # type: ignore[arg-type]
     assert verdict.points["person"] == person
     assert verdict.points["road"] == 2
     assert verdict.points["building"] == 0  # nobody could have seen it
@@ -157,7 +132,7 @@ def test_a_voxel_that_a_map_lacks_is_a_miss_unless_the_view_is_the_cameras(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--table", "7"], "'7' is not one of '3', '4', '5', '6', 'real'"),
+        (["--table", "7"], "'7' is not one of '3', '4', '5', '6', 'second', 'real'"),
         (["a.ply", "--table", "3"], "judges no PREDICTION"),
         ([], "give a PREDICTION to be judged, or a --table to be made"),
         (["--table", "real", "--shared", "."], "is not there; this table needs it (--shared)"),
