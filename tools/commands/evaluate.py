@@ -123,8 +123,9 @@ def evaluate(
         PaperFigure | None,
         typer.Option(
             help="Draw a figure of the paper in the world of the tables: a street seen from above "
-            "(5), what moves in it (6), four maps (13), without what moves (14), in another city "
-            "(15).",
+            "(5), what moves in it (6), persons whom no camera sees (12), four maps (13), without "
+            "what moves (14), in another city (15), a long flight (16), a disaster site (17), "
+            "daylight recall over distance (18).",
             show_default=False,
         ),
     ] = None,

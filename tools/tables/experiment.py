@@ -24,6 +24,8 @@ class Experiment:
     seeds: int
     steps: int
     quick: bool
+    threads: int
+    console: Console
 
     @classmethod
     def of(cls, order: TableOrder, console: Console) -> Self:
@@ -40,6 +42,8 @@ class Experiment:
             1 if order.quick else order.seeds,
             steps,
             order.quick,
+            order.threads,
+            console,
         )
 
     def conditions(self) -> list[str]:

@@ -112,7 +112,7 @@ def draw_figure(
     if number == 17:
         return draw_disaster(one.world, one.networks, folder), tables_of(one, "17")
     if number == 18:
-        return draw_daylight(one.world, folder), ()
+        return draw_daylight(one, folder), ()
     flight = "flight_b" if number == 15 else "flight_a"
     console.print(f"mapping {flight} three times ...", highlight=False)
     return draw_maps(one.world, one.networks, flight, folder), ()

@@ -32,6 +32,23 @@ def test_every_preset_that_ships_has_a_rig_with_its_sensors(name: str) -> None:
     assert set(preset.rates_hz) - {"pose"} <= set(rig.sensors)
 
 
+def test_the_rig_that_maps_streets_looks_up_to_the_roofs_and_down_to_the_road() -> None:
+    preset, folder = load_preset("train-car")
+    highest = {}
+    for name in ("car", "street"):
+        rig = load_rig(preset.model_copy(update={"rig": name, "rates_hz": {"lidar": 5.0}}), folder)
+        lidar = rig.sensors["lidar"]
+        assert isinstance(lidar.spec, LidarSpec)
+        level, azimuth = np.meshgrid(lidar.spec.elevations(), lidar.spec.azimuths(), indexing="ij")
+        rays = np.stack(
+            [np.cos(level) * np.cos(azimuth), np.cos(level) * np.sin(azimuth), np.sin(level)], -1
+        )
+        up = rays @ lidar.calibration.base_from_sensor[2, :3]
+        highest[name] = float(np.degrees(np.arcsin(up.max())))
+        assert np.degrees(np.arcsin(up.min())) < -20
+    assert highest["car"] < 5 < 45 < highest["street"]
+
+
 def test_the_rig_of_the_paper_has_two_cameras_that_overlap_and_see_the_ground_below() -> None:
     rig = load_rig(*load_preset("paper"))
     pitches = []
@@ -77,7 +94,7 @@ def test_another_lidar_on_another_vehicle_is_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        (PRESET.format(rig="m211"), r"no rig 'm211'; take one of car, m210"),
+        (PRESET.format(rig="m211"), r"no rig 'm211'; take one of car, m210, street"),
         (PRESET.format(rig="m210").replace("lidar:", "radar:"), "has no sensor 'radar'"),
         (PRESET.format(rig="m210").replace("seed: 1", "sed: 1"), "seed: Field required"),
         (PRESET.format(rig="m210").replace("2.0", "-2.0"), "speed_m_s: .* greater than 0"),
