@@ -88,7 +88,9 @@ class PartProcess:
                 self._asked, self._silent_s = str(header["call"]), 0.0
                 mailbox.send(header)
         except Closed:
-            return self._lost(self._child.how_it_ended())
+            how = self._child.how_it_ended()
+            self._child.kill()  # where it only closed its end: it could not be started anew
+            return self._lost(how)
         if not self._child.alive:
             return self._lost(self._child.how_it_ended())
         if self._asked is not None and self._silent_s > SILENCE_S:

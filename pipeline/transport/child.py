@@ -21,6 +21,9 @@ from pipeline.transport.mailbox import Mailbox
 
 #: How long a process may take to end by itself once its end of the socket is closed.
 GRACE_S = 1.0
+#: How long to wait for the end of a process whose connection is closed, to tell how it ended: one
+#: that was killed lets go of its memory after that, which takes a while where the cores are busy.
+DEATH_S = 5.0
 
 RestartPolicy = Literal["never", "on-failure", "always"]
 
@@ -83,7 +86,7 @@ class Child:
         if self._process is None:
             return "was never started"
         try:
-            code = self._process.wait(GRACE_S)
+            code = self._process.wait(DEATH_S)
         except subprocess.TimeoutExpired:
             return "closed its connection"
         if code < 0:

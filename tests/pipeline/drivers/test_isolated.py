@@ -41,7 +41,7 @@ def isolated(restarts: Restarts = ALWAYS, **options: Any) -> IsolatedDevice:
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """A busy machine may take long to end a process: how that ended is told all the same."""
-    monkeypatch.setattr(child, "GRACE_S", 60.0)
+    monkeypatch.setattr(child, "DEATH_S", 60.0)
 
 
 @pytest.fixture
