@@ -30,7 +30,9 @@ from tools.bench.harness import (
 from tools.bench.sync import CAMERA, LIDAR, NEAREST, TRIGGER, by_arrival, gap_row, play
 
 #: Those that run on the real clock: what computes beside them would make them lose messages.
-LIVE = ("hop", "emulated", "fanout", "wanted", "trace", "recording", "transport")
+LIVE = (
+    *("hop", "chain", "emulated", "fanout", "wanted", "plan", "trace", "recording", "transport"),
+)
 
 app = Typer()
 app.command()(bench)
