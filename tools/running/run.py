@@ -58,20 +58,18 @@ def run_file(
     graph, catalog = given.open() if flight is None else on_flight(given, flight)
     if not quiet:
         print_warnings(graph.warnings)
-    if report is not None:
-        make_room_for(report)
-    if trace is not None:
-        make_room_for(trace, "trace")
-    if record is not None:
-        make_room_for(record, "recording")
+    for file, what in ((report, "report"), (trace, "trace"), (record, "recording")):
+        if file is not None:
+            make_room_for(file, what)
     apart = runs_apart(graph, host, alone=speed is None or flight is not None)
     started = time.time()
+    tracing = None
+    if trace is not None:
+        tracing = Tracing(trace, trace_entries, graph, apart=apart, quiet=quiet)
+    own_trace = None if tracing is None else tracing.own
     with contextlib.ExitStack() as stack:
-        tracing = None
-        if trace is not None:
-            tracing = Tracing(trace, trace_entries, graph, apart=apart, quiet=quiet)
+        if tracing is not None:
             stack.enter_context(tracing)
-        own_trace = None if tracing is None else tracing.own
         progress = Progress(graph.topology, Console(stderr=True))
         recorder = None
         if record is not None and not apart:
@@ -114,16 +112,17 @@ def run_file(
             )
     told = Told(result, verdicts(graph.expect, result.report), as_json=as_json, quiet=quiet)
     told.defects()
-    if report is not None:
-        report.write_text(told.text() + "\n")
+    unwritten = [told.write(report) if report is not None else None]
     files = [file for file in (report, trace) if file is not None and file.exists()]
     if record is not None:
         written = process_files(record) if apart else flight_files(record)
         files += (file for file in written if _is_of(file, started))
     told.tables([*_written(out, started), *files])
-    if tracing is not None and not (as_json or quiet):
-        Console().print(tracing.told(), highlight=False, soft_wrap=True)
-    return (*result.failures, *failed(told.judged))
+    if tracing is not None:
+        unwritten.append(tracing.failure)
+        if not (as_json or quiet or tracing.failure):
+            Console().print(tracing.told(), highlight=False, soft_wrap=True)
+    return (*result.failures, *failed(told.judged), *filter(None, unwritten))
 
 
 def make_room_for(file: Path, what: str = "report") -> None:

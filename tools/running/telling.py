@@ -30,6 +30,14 @@ class Told:
         judged = [asdict(verdict) for verdict in self.judged]
         return json.dumps({**self.result.report, "expectations": judged}, indent=2)
 
+    def write(self, file: Path) -> str | None:
+        """Write the report; a sentence where that fails: the run has more to tell."""
+        try:
+            file.write_text(self.text() + "\n")
+        except OSError as error:
+            return f"{file}: the report was not written: {error.strerror}"
+        return None
+
     def defects(self) -> None:
         """Tracebacks of defects, ours or of the user's own stages: those keep theirs."""
         for event in self.result.events:

@@ -33,6 +33,7 @@ class Tracing:
         self.path = path
         self.own = Trace(capacity)  #: of this process
         self.recorded = self.overwritten = 0  #: once it is written
+        self.failure: str | None = None  #: why it could not be written
         self._capacity = capacity
         self._graph = graph
         self._apart = apart
@@ -53,7 +54,12 @@ class Tracing:
             return
         if not self._quiet:
             typer.echo(f"Writing {self.path} ...", err=True)
-        write_trace(traced, self._graph.name, self.path)
+        try:
+            write_trace(traced, self._graph.name, self.path)
+        except OSError as failed:
+            self.failure = f"{self.path}: the trace was not written: {failed.strerror}"
+            if self.path.is_file():
+                self.path.unlink()  # half a trace opens nowhere
 
     @property
     def asked(self) -> Mapping[str, Any]:

@@ -76,6 +76,15 @@ def test_a_trace_is_written_and_says_what_was_overwritten(hello: Overflight) -> 
     assert json.loads(Path("deep/trace.json").read_text())["otherData"]["overwritten"] > 0
 
 
+def test_a_full_disk_takes_the_trace_or_the_report_and_not_the_table(hello: Overflight) -> None:
+    for option, what in (("--trace", "trace"), ("--report", "report")):
+        answer = hello("--duration", "0.5", option, "/dev/full")
+        assert answer.code == 1
+        assert "Every message is accounted for" in answer.out
+        assert f"/dev/full: the {what} was not written: No space left on device" in answer.err
+        assert "Traceback" not in answer.err
+
+
 def test_a_run_that_fails_leaves_its_trace_with_the_failure(hello: Overflight) -> None:
     words = ("--set", "stages.signal.options.fail=true", "--duration", "0.5", "--trace", "t.json")
     assert hello(*words).code == 1
