@@ -16,6 +16,7 @@ from pipeline.graph.wording import suggest
 from pipeline.stage import Source
 from stages.sources.kitti import KittiScans
 from stages.sources.ouster import SUFFIXES, OusterScans
+from stages.sources.recording import Recording
 from stages.types import Scan
 from tools.show import find_stage
 
@@ -27,14 +28,14 @@ def open_scans(recording: Path, use: str | None, settings: Sequence[str]) -> Ite
 
     Raises typer.BadParameter for what cannot be, DataError where the recording is wrong.
     """
-    ouster = recording.suffix.lower() in SUFFIXES
-    cls = find_stage(use) if use else OusterScans if ouster else KittiScans
+    cls, given = (find_stage(use), {}) if use else source_of(recording)
     contract = contract_of(cls)
     gives_scans = any(fits((Scan,), port.payload) for port in contract.outputs)
     if not issubclass(cls, Source) or not gives_scans:
         raise typer.BadParameter(f"{cls.__name__} is no source of scans")
     options = {option.name: option for option in contract.options}
-    arguments = {"path": recording, **dict(_setting(text, cls, options) for text in settings)}
+    told = dict(_setting(text, cls, options) for text in settings)
+    arguments = {"path": recording, **given, **told}
     missing = [o.name for o in options.values() if o.required and o.name not in arguments]
     if "path" not in options or missing:
         lacks = f"needs --set {missing[0]}=..." if missing else "has no option 'path'"
@@ -48,6 +49,14 @@ def open_scans(recording: Path, use: str | None, settings: Sequence[str]) -> Ite
         yield source
     finally:
         source.close()
+
+
+def source_of(recording: Path) -> tuple[type[Source], dict[str, Any]]:
+    """The class that reads a recording, by its ending, and the options that are not obvious."""
+    ending = recording.suffix.lower()
+    if ending == ".mcap":
+        return Recording, {"topic": "lidar"}  # as the shipped rigs call theirs
+    return (OusterScans if ending in SUFFIXES else KittiScans), {}
 
 
 def _setting(text: str, cls: type[Source], options: Mapping[str, Option]) -> tuple[str, Any]:

@@ -111,6 +111,8 @@ def measure(
         try:
             for message in messages:
                 scan = message.payload
+                if not isinstance(scan, Scan):  # a topic may hold anything
+                    raise DataError(f"{type(scan).__name__} is no scan; name another --set topic=")
                 if image is None:
                     if elevation_deg is None:
                         tally.elevation_deg = elevation_of(scan.points)

@@ -152,6 +152,21 @@ def test_any_source_of_scans_can_be_measured(
     assert entry["mean"][1:] == [1.75, 1.75, 0, 0]
 
 
+def test_a_flights_scans_are_its_topic_lidar(overflight: Overflight, tmp_path: Path) -> None:
+    graph = (
+        "overflight: 1\ngraph: g\nstages:\n"
+        "  lidar: {use: stages.sources.emulated:EmulatedLidar, options: {count: 3}}\n"
+        "  rgb: {use: stages.sources.emulated:EmulatedCamera, options: {count: 1}}\n"
+    )
+    (tmp_path / "g.yaml").write_text(graph)
+    record = ("--record", "f.mcap", "--out", "out")
+    assert overflight("run", "g.yaml", "--speed", "max", "--quiet", *record).code == 0
+    assert "3 scans" in overflight("statistics", "f.mcap").out
+    refused = overflight("statistics", "f.mcap", "--set", "topic=rgb")
+    assert refused.code == 2
+    assert "Image is no scan; name another --set topic=" in refused.err
+
+
 def test_ctrl_c_gives_the_figures_so_far(overflight: Overflight, own_source: str) -> None:
     words = ("--source", own_source, "--set", "distance_m=3.5", "--set", "stop_at=2")
     answer = overflight("statistics", "any", *words)

@@ -13,6 +13,7 @@ from tools.commands.options import AsJson
 
 @app.command(
     epilog=examples(
+        "overflight statistics flight.mcap",
         "overflight statistics drives/06",
         "overflight statistics street.pcap --adapt semantickitti --name os0_on_network -o "
         "scan_statistics.yaml",
@@ -24,7 +25,8 @@ def statistics(
         Path,
         typer.Argument(
             metavar="RECORDING",
-            help="A drive of the KITTI family (a folder) or an Ouster file (.pcap, .osf, .bag).",
+            help="A flight (.mcap: its topic lidar, or --set topic=NAME), a drive of the KITTI "
+            "family (a folder) or an Ouster file (.pcap, .osf, .bag).",
             show_default=False,
         ),
     ],
