@@ -11,8 +11,8 @@ from typing import Any
 
 from pipeline.drivers.devices import Devices
 from pipeline.drivers.executor import Worker
+from pipeline.drivers.opening import open_stages
 from pipeline.drivers.replay import ReplayDriver
-from pipeline.drivers.run import open_stages
 from pipeline.errors import DataError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
-from pipeline.drivers.run import OutputSnapshot, Snapshot
+from pipeline.drivers.snapshot import OutputSnapshot, Snapshot
 from pipeline.graph.graph import Graph
 from pipeline.measuring.statistics import Event
 from pipeline.measuring.status import EVENTS_SHOWN, FORMAT, LOSSES

@@ -14,7 +14,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from pipeline.drivers.run import RunResult, Snapshot
+from pipeline.drivers.run import RunResult
+from pipeline.drivers.snapshot import Snapshot
 from pipeline.errors import DeviceError, OverflightError
 from pipeline.graph.graph import Graph
 from pipeline.graph.run_folder import folder_of_this_run

@@ -11,7 +11,8 @@ import pytest
 from driving import arrive
 
 from accelerators.registry import Registry
-from pipeline.drivers.run import Snapshot, run_graph
+from pipeline.drivers.run import run_graph
+from pipeline.drivers.snapshot import Snapshot
 from pipeline.graph.graph import load_graph
 from pipeline.measuring.trace import Trace
 from pipeline.measuring.trace_entries import Published, Told

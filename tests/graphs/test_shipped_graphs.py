@@ -10,7 +10,8 @@ import pytest
 import yaml
 from driving import arrive
 
-from pipeline.drivers.run import RunResult, Snapshot, run_graph
+from pipeline.drivers.run import RunResult, run_graph
+from pipeline.drivers.snapshot import Snapshot
 from pipeline.graph.spec import graph_schema
 from tools.drawing.diagram import Diagram
 from tools.drawing.svg import svg

@@ -17,7 +17,8 @@ from typing import Any
 import typer
 from rich.console import Console
 
-from pipeline.drivers.run import RunResult, Snapshot, run_graph
+from pipeline.drivers.run import RunResult, run_graph
+from pipeline.drivers.snapshot import Snapshot
 from pipeline.errors import DataError
 from pipeline.graph.catalog import Catalog
 from pipeline.graph.graph import Graph

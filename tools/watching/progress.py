@@ -10,7 +10,7 @@ from rich.live import Live
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from pipeline.drivers.run import Snapshot
+    from pipeline.drivers.snapshot import Snapshot
     from pipeline.scheduling.topology import Topology
 
 #: Between two plain lines: a log of an hour's flight stays readable.
