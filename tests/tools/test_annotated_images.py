@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -106,3 +107,37 @@ def test_the_layouts_of_coco_and_flir_adas_are_known(
     found.path.unlink()
     with pytest.raises(DataError, match=r"has no image .*a\.png, which its annotations name"):
         read_annotated(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "annotations",
+    ["annotations/instances_train2017.json", "thermal_annotations.json", "coco.json"],
+)
+@pytest.mark.parametrize(
+    ("broken", "said"),
+    [
+        (lambda text: text[: len(text) // 2], "is no COCO annotation file"),  # cut short
+        (lambda text: text.replace('"bbox"', '"segmentation"'), "is no COCO annotation file"),
+        (lambda text: text.replace("[4, 5, 10, 20]", "[4, 5]"), "is no COCO annotation file"),
+        (lambda text: text.replace('"category_id": 1', '"category_id": 99'), "KeyError 99"),
+        (lambda text: "[]", "is no COCO annotation file"),
+    ],
+)
+def test_a_broken_annotation_file_of_coco_and_flir_adas_is_named(
+    annotations: str, broken: Callable[[str], str], said: str, tmp_path: Path
+) -> None:
+    coco(tmp_path)
+    text = (tmp_path / "ann.json").read_text()
+    (tmp_path / "ann.json").unlink()
+    (tmp_path / annotations).parent.mkdir(exist_ok=True)
+    (tmp_path / annotations).write_text(broken(text))
+    with pytest.raises(DataError, match=said) as error:
+        read_annotated(tmp_path)
+    assert str(tmp_path / annotations) in str(error.value)
+
+
+def test_an_image_that_is_cut_short_is_named_when_it_is_read(tmp_path: Path) -> None:
+    (image,) = read_annotated(coco(tmp_path))
+    image.path.write_bytes(image.path.read_bytes()[:20])
+    with pytest.raises(DataError, match=r"a\.png: is no picture that can be read"):
+        image.read()

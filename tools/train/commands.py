@@ -306,11 +306,15 @@ def segment_scan(
         ),
     ] = None,
     channels: Annotated[
-        int,
+        int | None,
         typer.Option(
-            metavar="N", min=4, max=5, help="4 leaves the remission out: another LiDAR's differs."
+            metavar="N",
+            min=4,
+            max=5,
+            help="4 leaves the remission out: another LiDAR's differs.",
+            show_default="5; 4 for a mixture with a source of another sensor",
         ),
-    ] = 5,
+    ] = None,
     batch: Annotated[
         int,
         typer.Option(
@@ -337,12 +341,13 @@ def segment_scan(
         raise typer.BadParameter(f"{batch} is no multiple of {AT_ONCE}", param_hint="--batch")
     flights = data.suffix == ".mcap" or (data.is_dir() and any(data.glob("*.mcap")))
     from_points = recipe is not None or not flights
-    if not from_points and (channels != 5 or batch != AT_ONCE or start is not None):
+    if not from_points and (channels not in (None, 5) or batch != AT_ONCE or start is not None):
         raise typer.BadParameter("--channels, --batch and --from need a --recipe as well")
     words = [f"--width={width:g}", f"--sensor={sensor}"]
     if from_points:
         recipe = recipe or "plain"
-        words += [f"--recipe={recipe}", f"--channels={channels}", f"--batch={batch}"]
+        words += [f"--recipe={recipe}", f"--batch={batch}"]
+        words += [] if channels is None else [f"--channels={channels}"]
     if start is not None:
         words += ["--from", start.name]
     order = _order(

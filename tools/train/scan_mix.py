@@ -44,6 +44,13 @@ class Mix:
     """What a training draws from."""
 
     parts: tuple[Part, ...]
+    one_sensor: bool = True  #: no source is said to be of another sensor than the network's
+
+    @property
+    def channels(self) -> int:
+        """Of the input: with remission where all sources share the sensor, as another LiDAR's
+        remission misleads; 5 or 4."""
+        return 5 if self.one_sensor else 4
 
     @property
     def told(self) -> str:
@@ -104,7 +111,7 @@ def open_mix(path: Path, statistics: Path, sensor: str) -> Mix:
     ]
     if not any(part.labeled for part in parts):
         raise DataError(f"{path}: no source has labels; leave out 'labels: false' of one")
-    return Mix(tuple(parts))
+    return Mix(tuple(parts), all(entry.get("sensor") in (None, sensor) for entry in entries))
 
 
 def _part(

@@ -41,7 +41,7 @@ class ScanChoices:
     sensor: str = "os0_128"
     statistics: Path = SHIPPED
     recipe: str = "plain"
-    channels: int = 5
+    channels: int | None = None  #: 5 or 4, without remission; None: as the mixture's sensors ask
     name: str = "segment-scan"
     balanced: bool = True
     sizes: tuple[tuple[int, int], ...] = (SIZE,)  #: of files: the first is trained, others as well
@@ -51,16 +51,17 @@ def train_from_points(order: Order, choices: ScanChoices, console: Console) -> P
     """Train, or go on; the registry. Raises OverflightError, Interrupted."""
     mix = open_mix(order.data, choices.statistics, choices.sensor)
     recipe = recipe_named(choices.recipe)
+    channels = choices.channels or mix.channels
     torch.manual_seed(order.seed)
-    network = SalsaNext(CHANNELS, channels=choices.channels, width=choices.width)
-    task = PointSegmenter(network, mix, recipe, channels=choices.channels, size=SIZE)
+    network = SalsaNext(CHANNELS, channels=channels, width=choices.width)
+    task = PointSegmenter(network, mix, recipe, channels=channels, size=SIZE)
     seen = [task.whole(part, scan) for part, scan in mix.sample(SAMPLES)]
     inputs, classes = [one for one, _ in seen], [one for _, one in seen]
     plan = Plan(
         name=choices.name,
-        architecture=f"SalsaNext x {choices.width:g}, {choices.channels} channels",
+        architecture=f"SalsaNext x {choices.width:g}, {channels} channels",
         task=task,
-        shape=(choices.channels, *SIZE),
+        shape=(channels, *SIZE),
         outputs=network.output_names,
         meaning=Meaning(
             description="Classes of the taxonomy in LiDAR scans",
@@ -93,7 +94,7 @@ def _finish(
         balance(trained, inputs, classes)
     for size in choices.sizes[1:]:
         name = f"{plan.name}-{size[1]}"
-        model = Exportable(name, trained, (choices.channels, *size), plan.outputs)
+        model = Exportable(name, trained, (plan.shape[0], *size), plan.outputs)
         onnx = write_onnx(model, order.output)
         said = Said(
             head=plan.meaning.head,

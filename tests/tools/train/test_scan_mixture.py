@@ -88,6 +88,14 @@ def test_a_source_may_be_normalized_with_its_own_sensors_figures(tmp_path: Path)
     assert own.mean[3] != other.mean[3]
 
 
+def test_remission_is_left_out_where_a_source_is_of_another_sensor(tmp_path: Path) -> None:
+    assert open_mix(sequence(tmp_path / "one"), SHIPPED, SENSOR).channels == 5
+    same = f"sources: [{{path: a, share: 1}}, {{path: b, share: 1, sensor: {SENSOR}}}]"
+    assert mixture(tmp_path / "same", same).channels == 5
+    other = "sources: [{path: a, share: 1}, {path: b, share: 1, sensor: os0_128_simulated}]"
+    assert mixture(tmp_path / "other", other).channels == 4
+
+
 def test_a_batch_has_the_networks_channels_and_the_classes_under_them(tmp_path: Path) -> None:
     mix = open_mix(sequence(tmp_path / "a"), SHIPPED, SENSOR)
     for channels in (4, 5):
