@@ -13,6 +13,7 @@ from pipeline.message import Message
 from stages.draw_fused import drawn
 from stages.fuse_image import FuseImage
 from stages.kernels.probability import read_out
+from stages.kernels.render import add_legend
 from stages.segment_image import SegmentImage
 from stages.sources.recording import calibration
 from stages.taxonomy import load_taxonomy
@@ -21,7 +22,7 @@ from tools.evaluate_detections import open_model
 from tools.propagation.pictures import range_panels
 from tools.tables.detectors import RGB, THERMAL, Detector, images_of, with_boxes
 from tools.tables.evidence import classes_of, fused_evidence
-from tools.tables.map_pictures import from_aside, map_of, write_picture
+from tools.tables.map_pictures import from_aside, legend_of, map_of, write_picture
 from tools.tables.networks import ADAPTED, Networks
 from tools.tables.world import JudgedScan, World
 from tools.train.flights import messages_of
@@ -88,7 +89,7 @@ def _fused(flight: Path, image: Message[Image]) -> NDArray[np.uint8]:
         depth,
         poses,
     )
-    return drawn(fused, image.payload, 0.5)
+    return add_legend(drawn(fused, image.payload, 0.5), legend_of(fused.mask))
 
 
 def _at(flight: Path, topic: str, stamp: int) -> Message[Image]:
