@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -13,9 +13,11 @@ from tools.profiling.profile_page import PARTS
 from tools.profiling.profile_table import (
     EMULATED,
     EMULATED_NOTE,
+    Column,
     both,
     name,
     number,
+    sweep_columns,
     sweep_note,
     why_not_run,
 )
@@ -196,23 +198,17 @@ def _stages(stages: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _points(sweep: Sequence[Mapping[str, Any]]) -> str:
-    columns: dict[str, Callable[[Mapping[str, Any]], str]] = {
-        "variant": name,
-        "model": lambda point: point["model"] or "",
-        "device": lambda point: point["device"],
-        "asked, Hz": lambda point: number(point["wanted_hz"], 1),
-        "rate, Hz": lambda point: number(point["rate_hz"], 2),
-        "CPU, %": lambda point: number(point["cpu_percent"], 2),
-        "CPU ms a run": lambda point: number(point["cpu_ms"], 2),
-        "infer, ms": lambda point: both(point["infer_ms"]),
-        "age, ms": lambda point: both(point["age_ms"]),
-    }
     ran = [point for point in sweep if not point["failed"]]
-    shown = {head: cell for head, cell in columns.items() if any(map(cell, ran))}
-    rows = [[cell(point) for cell in shown.values()] for point in ran]
+    words = (
+        Column("variant", name),
+        Column("model", lambda point: point["model"] or ""),
+        Column("device", lambda point: point["device"]),
+    )
+    shown = [column for column in words if any(map(column.cell, ran))] + sweep_columns(ran)
+    rows = [[column.cell(point) for column in shown] for point in ran]
     not_run = [f"Not run: {why_not_run(point)}." for point in sweep if point["failed"]]
     notes = [*not_run, sweep_note(ran)]
-    return f'<div class="card">{_table(list(shown), rows)}</div>' + "".join(
+    return f'<div class="card">{_table([column.head for column in shown], rows)}</div>' + "".join(
         f'<p class="dim">{escape(note)}</p>' for note in notes
     )
 

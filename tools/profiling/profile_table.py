@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.table import Table
@@ -14,6 +14,13 @@ EMULATED = "~"  #: before the name of what ran emulated
 EMULATED_NOTE = (
     f"{EMULATED} emulated: device times are declared, and a driver's own CPU is not in it."
 )
+
+
+class Column(NamedTuple):
+    """One figure of a point of a sweep: its head with the unit, and what stands in its cell."""
+
+    head: str
+    cell: Callable[[Mapping[str, Any]], str]
 
 
 def print_profile(page: Mapping[str, Any], console: Console) -> None:
@@ -72,19 +79,11 @@ def print_profile(page: Mapping[str, Any], console: Console) -> None:
 
 def print_sweep(points: Sequence[Mapping[str, Any]], console: Console) -> None:
     """One line per point, with the columns that say something."""
-    columns: dict[str, Callable[[Mapping[str, Any]], str]] = {
-        "asked Hz": lambda point: number(point["wanted_hz"], 1),
-        "Hz": lambda point: number(point["rate_hz"], 2),
-        "CPU %": lambda point: number(point["cpu_percent"], 1),
-        "CPU ms": lambda point: number(point["cpu_ms"], 2),
-        "infer ms": lambda point: both(point["infer_ms"]),
-        "age ms": lambda point: both(point["age_ms"]),
-    }
     ran = [point for point in points if not point["failed"]]
-    shown = {head: cell for head, cell in columns.items() if any(map(cell, ran))}
-    table = _table("variant", "on", *shown)
+    shown = sweep_columns(ran)
+    table = _table("variant", "on", *(column.head for column in shown))
     for point in ran:
-        table.add_row(name(point), point["device"], *(cell(point) for cell in shown.values()))
+        table.add_row(name(point), point["device"], *(column.cell(point) for column in shown))
     if ran:
         console.print(table)
     for point in points:
@@ -94,6 +93,19 @@ def print_sweep(points: Sequence[Mapping[str, Any]], console: Console) -> None:
     console.print(sweep_note(ran), style="dim", highlight=False)
     if any(point["emulated"] for point in points):
         console.print(EMULATED_NOTE, style="dim", highlight=False)
+
+
+def sweep_columns(ran: Sequence[Mapping[str, Any]]) -> list[Column]:
+    """The figures of a sweep's points, those that any of them has."""
+    columns = (
+        Column("asked Hz", lambda point: number(point["wanted_hz"], 1)),
+        Column("Hz", lambda point: number(point["rate_hz"], 2)),
+        Column("CPU %", lambda point: number(point["cpu_percent"], 2)),
+        Column("CPU ms", lambda point: number(point["cpu_ms"], 2)),
+        Column("infer ms", lambda point: both(point["infer_ms"])),
+        Column("age ms", lambda point: both(point["age_ms"])),
+    )
+    return [column for column in columns if any(map(column.cell, ran))]
 
 
 def why_not_run(point: Mapping[str, Any]) -> str:
