@@ -20,6 +20,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from pipeline.closing import Closing
+
 SUFFIX = ".run"
 #: ``checksum length\n``, both of the page that follows.
 _HEAD = "{:08x} {:010d}\n"
@@ -48,7 +50,7 @@ def folder() -> Path:
     return path
 
 
-class Board:
+class Board(Closing):
     """The page of one run; a context manager that takes it down. Raises OSError."""
 
     def __init__(self, place: Path | None = None) -> None:
@@ -62,12 +64,6 @@ class Board:
                 self._file = os.open(self.path, flags, 0o600)
                 break
         fcntl.flock(self._file, fcntl.LOCK_EX)
-
-    def __enter__(self) -> Board:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def write(self, page: Mapping[str, Any]) -> None:
         """Put up a page in place of the last one."""

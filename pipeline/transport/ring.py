@@ -23,11 +23,11 @@ import time
 import weakref
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
+from pipeline.closing import Closing
 from pipeline.errors import TransportError
 from pipeline.transport import shared_files
 from pipeline.transport.codec import Bytes
@@ -60,7 +60,7 @@ def _lock(descriptor: int, kind: int, at: int) -> bool:
     return True
 
 
-class RingWriter:
+class RingWriter(Closing):
     """The owning end. Not thread-safe."""
 
     def __init__(self, run: str, *, slots: int, budget: int, folder: Path = shared_files.FOLDER):
@@ -132,17 +132,6 @@ class RingWriter:
         if self._file is not None:
             self._file.close()
             self._file = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _free(self, size: int) -> int | None:
         """A slot that nobody reads, locked; makes a new file where there is none."""

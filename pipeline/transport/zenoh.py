@@ -15,11 +15,11 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import zenoh
 
+from pipeline.closing import Closing
 from pipeline.errors import TransportError
 from pipeline.transport.channel import Arrival, Channel, Send, TransportStatistics
 from pipeline.transport.courier import Courier
@@ -64,7 +64,7 @@ def free_endpoint(host: str = "127.0.0.1") -> str:
         return reserved.endpoint
 
 
-class Reserved:
+class Reserved(Closing):
     """A TCP endpoint that the system gives to nobody else while this is open, also not between the
     end of a process that listened on it and the start of the next; a link may listen on it."""
 
@@ -78,17 +78,6 @@ class Reserved:
     def close(self) -> None:
         self._socket.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
 
 def open_session(options: LinkOptions) -> zenoh.Session:
     """A bare session with this project's settings. Raises TransportError."""
@@ -101,7 +90,7 @@ def open_session(options: LinkOptions) -> zenoh.Session:
         ) from None
 
 
-class Link:
+class Link(Closing):
     """One process's session; a `Transport`. Use it in a ``with`` block.
 
     Each subscription has a thread of its own, which waits for what arrives; a slow one loses the
@@ -193,17 +182,6 @@ class Link:
             inlet.close()
         with contextlib.suppress(zenoh.ZError):  # it waits for its peers, but not for ever
             self._session.close()  # type: ignore[no-untyped-call]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _declared(self, channel: Channel, declare: Callable[[str], Any]) -> Any:
         try:
