@@ -335,7 +335,7 @@ def segment_scan(
     """
     _need_torch()
     from tools.train.scan_training import AT_ONCE, ScanChoices, train_from_points
-    from tools.train.segment import train_scan_segmenter
+    from tools.train.segment_scan import train_scan_segmenter
 
     if batch % AT_ONCE:
         raise typer.BadParameter(f"{batch} is no multiple of {AT_ONCE}", param_hint="--batch")

@@ -20,15 +20,12 @@ from tools.train.balance import balance
 from tools.train.export import Exportable, write_onnx, write_openvino
 from tools.train.plan import Order, Plan, carry_out
 from tools.train.point_segmenter import PointSegmenter
-from tools.train.products import REGISTRY, SAMPLES, Meaning
+from tools.train.products import REGISTRY, SAMPLES
 from tools.train.salsanext import SalsaNext
 from tools.train.scan_mix import open_mix
+from tools.train.scan_network import RATE, SIZE, meaning_of_scans
 from tools.train.scan_recipes import recipe_named
 
-#: Rows and columns of the range image.
-SIZE = (64, 512)
-#: Greatest learning rate: twice that of the image networks, as a scan network has few parameters.
-RATE = 4e-3
 #: Parts of scans that are learned from at once; a larger batch is gathered from several.
 AT_ONCE = 4
 
@@ -63,16 +60,7 @@ def train_from_points(order: Order, choices: ScanChoices, console: Console) -> P
         task=task,
         shape=(channels, *SIZE),
         outputs=network.output_names,
-        meaning=Meaning(
-            description="Classes of the taxonomy in LiDAR scans",
-            license=order.license,
-            source=f"overflight train segment-scan; {order.attribution}",
-            head={"kind": "scores", "align_corners": False},
-            classes={},
-            color=None,
-            mean=0.0,
-            std=1.0,
-        ),
+        meaning=meaning_of_scans("Classes of the taxonomy in LiDAR scans", order),
         samples=inputs,
         data=f"{mix.told}; recipe {recipe.name}, normalized as {choices.sensor}",
         rate=RATE,
