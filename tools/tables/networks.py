@@ -73,6 +73,7 @@ class Networks:
             command="overflight evaluate --table",
             start=start,
             gathered=self._world.scale.batch // 4,
+            quantized=False,
         )
         choices = ScanChoices(
             width=self._world.scale.width,

@@ -183,6 +183,7 @@ def _trained(
         judged_on=None,
         restart=False,
         command="overflight evaluate --table real",
+        quantized=False,
     )
     choices = ScanChoices(width=order.width, sensor=SENSOR, recipe=order.recipe)
     registry = train_from_points(training, choices, console)

@@ -41,6 +41,7 @@ class Order:
     start: Path | None = None  #: the folder of a training whose weights this one begins with
     gathered: int = 1  #: batches to a step, see `Settings`
     as_it_is: bool = False  #: write the files of what was learned so far instead of learning on
+    quantized: bool = True  #: write the 8-bit file as well, which takes a minute
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +94,10 @@ def carry_out(plan: Plan, order: Order, console: Console) -> Path:
     network = _so_far(training) if order.as_it_is else training.run(console)
     if plan.finish is not None:
         plan.finish(network)
-    console.print("writing ONNX, OpenVINO and TensorFlow Lite files ...", highlight=False)
+    console.print("writing the model files ...", highlight=False)
     model = Exportable(plan.name, network, plan.shape, plan.outputs)
-    files = write_products(model, plan.meaning, plan.samples, order.output, console)
+    samples = plan.samples if order.quantized else ()
+    files = write_products(model, plan.meaning, samples, order.output, console)
     registry = order.output / REGISTRY
     verdicts = plan.judge(registry) if plan.judge is not None else ()
     origin = Origin(

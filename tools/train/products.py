@@ -48,22 +48,15 @@ def write_products(
     folder: Path,
     console: Console,
 ) -> list[Path]:
-    """Write the files, enter them in `folder`/models.yaml; the 8-bit one needs the extra `export`.
+    """Write the files, enter them in `folder`/models.yaml; the 8-bit one, which is left out where
+    there are no samples, needs the extra `export`.
 
     Raises ModelError where a file does not do what its network does.
     """
     onnx = write_onnx(model, folder)
     files = [write_openvino(model, onnx, folder), onnx]
-    try:
-        whole = write_tflite(model, samples, folder)
-        shares = rounding(whole, model, samples[0])
-        files.insert(0, whole)
-        told = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares.items())
-        console.print(f"8-bit rounding, of what the output varies by: {told}", highlight=False)
-    except ModelError as error:
-        if "extra 'export'" not in str(error):
-            raise
-        console.print(f"No 8-bit file: {error}", style="yellow", highlight=False, soft_wrap=True)
+    if samples:
+        files = [*_eight_bit(model, samples, folder, console), *files]
     said = Said(
         head=meaning.head,
         classes=meaning.classes,
@@ -77,3 +70,20 @@ def write_products(
     )
     add_model(model.name, files, said, folder / REGISTRY, replace=True)
     return files
+
+
+def _eight_bit(
+    model: Exportable, samples: Sequence[NDArray[np.float32]], folder: Path, console: Console
+) -> list[Path]:
+    """The 8-bit file, or a word on why there is none."""
+    try:
+        whole = write_tflite(model, samples, folder)
+    except ModelError as error:
+        if "extra 'export'" not in str(error):
+            raise
+        console.print(f"No 8-bit file: {error}", style="yellow", highlight=False, soft_wrap=True)
+        return []
+    shares = rounding(whole, model, samples[0])
+    told = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares.items())
+    console.print(f"8-bit rounding, of what the output varies by: {told}", highlight=False)
+    return [whole]
