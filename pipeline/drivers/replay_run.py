@@ -59,12 +59,7 @@ def replay_flight(
     recorded = flight.manifest
     if recorded.process:
         graph, _ = graph.part(recorded.process)
-    difference = rules_differ(recorded.topology, graph.topology)
-    if difference is not None:
-        raise DataError(
-            f"{flight.path} was recorded with other rules: {difference}. Replay it with its own "
-            f"graph: overflight run {flight.path} --as-recorded"
-        )
+    _check_rules(flight, graph)
     sources = [port for node in graph.topology.stages for port in _outputs(node, sources=True)]
     outline = Outline.of(flight, sources)
     _check_sources(flight, outline, sources)
@@ -86,13 +81,13 @@ def replay_flight(
             for node in topology.stages
             if node.name in stages
         }
-        replayed = [port for port in sources if outline.published.get(port)]
-        replayed += [port for name in fed for port in _outputs(topology.stage(name))]
+        fed_ports = [port for name in fed for port in _outputs(topology.stage(name))]
+        read = [port for port in (*sources, *fed_ports) if outline.published.get(port)]
         driver = ReplayDriver(
             topology,
             outline,
             workers,
-            Payloads(flight, [p for p in replayed if outline.published.get(p)], codecs),
+            Payloads(flight, read, codecs),
             fed,
             statistics,
             offline=recorded.offline,
@@ -138,14 +133,8 @@ def replay_flight(
     report["ended"] = f"signal {signaled[0].name}" if signaled else str(Ended.SOURCES)
     report["replay"] = {
         "flight": str(flight.path),
-        "events": driver.events,
         "events_recorded": outline.events,
-        "decisions_identical": different is None,
-        "first_different_decision": different,
-        "outputs_compared": driver.compared,
-        "outputs_different": driver.differences,
-        "first_different_outputs": driver.different,
-        "outputs_not_compared": driver.not_compared,
+        **_compared(driver, different),
         "fed": dict(fed),
         "whole": whole,
     }
@@ -157,6 +146,29 @@ def replay_flight(
 def _outputs(node: StageNode, *, sources: bool | None = None) -> Iterator[Port]:
     if sources is None or node.is_source == sources:
         yield from (Port(node.name, name) for name in node.outputs)
+
+
+def _check_rules(flight: Flight, graph: Graph) -> None:
+    """Refuse a graph that would decide otherwise, naming the first difference."""
+    difference = rules_differ(flight.manifest.topology, graph.topology)
+    if difference is not None:
+        raise DataError(
+            f"{flight.path} was recorded with other rules: {difference}. Replay it with its own "
+            f"graph: overflight run {flight.path} --as-recorded"
+        )
+
+
+def _compared(driver: ReplayDriver, different: str | None) -> dict[str, Any]:
+    """What was as in the flight, and the first that was not."""
+    return {
+        "events": driver.events,
+        "decisions_identical": different is None,
+        "first_different_decision": different,
+        "outputs_compared": driver.compared,
+        "outputs_different": driver.differences,
+        "first_different_outputs": driver.different,
+        "outputs_not_compared": driver.not_compared,
+    }
 
 
 def _check_sources(flight: Flight, outline: Outline, sources: Collection[Port]) -> None:
