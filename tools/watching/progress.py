@@ -40,7 +40,8 @@ def progress_line(snapshot: Snapshot, ends: tuple[str, ...]) -> str:
     for port in ends:
         output = snapshot.outputs[port]
         part = f"{port.removesuffix('/out')} "
-        part += f"{output.count} messages" if output.rate_hz is None else f"{output.rate_hz:.1f} Hz"
+        count = f"{output.count} message{'s' * (output.count != 1)}"
+        part += count if output.rate_hz is None else f"{output.rate_hz:.1f} Hz"
         if output.age_ms is not None:
             part += f", {output.age_ms:.0f} ms old"
         parts.append(part)
