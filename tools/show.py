@@ -6,7 +6,7 @@ import importlib
 import inspect
 import json
 import pkgutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import typer
@@ -98,13 +98,19 @@ def stage_text(cls: type[Stage]) -> str:
             option["name"],
             option["type"],
             "required" if option["required"] else f"default {option['default']}",
-            option["doc"],
+            _said_of(option, values["options"]),
         )
         for option in values["options"]
     ]
     for title, rows in (("Inputs", inputs), ("Outputs", outputs), ("Options", options)):
         paragraphs.append("\n".join([title, *_aligned(rows or [("none",)])]))
     return "\n\n".join(paragraph for paragraph in paragraphs if paragraph)
+
+
+def _said_of(option: Mapping[str, Any], options: Sequence[Mapping[str, Any]]) -> str:
+    """The sentence on an option; where one sentence is on several, it stands at the first."""
+    first = next(other for other in options if other["doc"] == option["doc"])
+    return option["doc"] if first is option or not option["doc"] else f"see {first['name']}"
 
 
 def _imported(module: str, name: str) -> type[Stage]:

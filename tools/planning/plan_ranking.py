@@ -115,5 +115,5 @@ def bottleneck(ranking: Ranking, option: Option) -> str:
         return f"The bottleneck is {'; then '.join(full)}."
     name, share = shares[0]
     return (
-        f"Nothing is at its limit: sensors set the pace. The busiest is {name} {100 * share:.0f} %."
+        f"Nothing is at its limit: sensors set the pace. Most in use: {name}, {100 * share:.0f} %."
     )
