@@ -203,12 +203,15 @@ def of_another_life(messages: list[Arrival], lives: list[int]) -> list[Arrival]:
 @pytest.mark.realtime
 def test_a_killed_publisher_is_heard_again_and_leaves_nothing() -> None:
     killed = f"{RUN}-killed"
-    endpoint, listener = free_endpoint(), Listener()
-    with Link(LinkOptions(connect=[endpoint])) as subscriber:
+    listener = Listener()
+    with (
+        Reserved() as reserved,
+        Link(LinkOptions(connect=[reserved.endpoint])) as subscriber,
+    ):
         subscriber.subscribe(CHANNEL, listener)
         lives = []
         for _ in range(3):
-            with process(endpoint, killed):
+            with process(reserved.endpoint, killed):
                 # Those of the life before may still be coming.
                 until(lambda: len(of_another_life(listener.messages, lives)) > 5)
                 lives.append(listener.messages[-1].envelope.epoch)

@@ -12,7 +12,7 @@ import pytest
 from flying import Run
 from namespaces import ENDPOINT, Namespaces, NotAllowed
 
-from pipeline.transport.zenoh import free_endpoint
+from pipeline.transport.zenoh import Reserved
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
@@ -90,8 +90,9 @@ def assert_a_ground_station_comes_and_goes(start: Start) -> None:
 def test_a_ground_station_joins_late_dies_and_comes_back_while_the_drone_flies_on(
     runs: list[Run], tmp_path: Path
 ) -> None:
-    start = starter(tmp_path, runs, free_endpoint(), "zstd")
-    assert_a_ground_station_comes_and_goes(start)
+    with Reserved() as reserved:
+        start = starter(tmp_path, runs, reserved.endpoint, "zstd")
+        assert_a_ground_station_comes_and_goes(start)
 
 
 def test_so_it_does_between_two_network_namespaces(
