@@ -83,7 +83,9 @@ def test_every_file_that_the_readme_links_to_exists() -> None:
         assert (ROOT / target).exists(), target
 
 
-@pytest.mark.parametrize("page", ["ARCHITECTURE.md", "CONTRIBUTING.md", "README.md"])
+@pytest.mark.parametrize(
+    "page", ["ARCHITECTURE.md", "CONTRIBUTING.md", "README.md", "tools/propagation/README.md"]
+)
 def test_every_file_that_a_page_names_exists(page: str) -> None:
     folders = "pipeline|accelerators|stages|graphs|tools|tests"
     named = re.findall(rf"`((?:{folders})/[\w./]+)`", (ROOT / page).read_text())

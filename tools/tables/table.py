@@ -49,6 +49,11 @@ class Table:
     measure: str = "IoU in %"  #: of the cells
     value: str = "mean"  #: the column that rows are ordered by
 
+    @property
+    def of_the_paper(self) -> bool:
+        """Whether the paper has such a table."""
+        return any(line.paper is not None for line in self.lines)
+
     def classes(self) -> list[str]:
         """The columns."""
         found: dict[str, None] = {}
@@ -97,12 +102,13 @@ class Table:
     def markdown(self) -> str:
         """As it stands in BENCHMARK.md."""
         columns = self.classes()
-        head = [self.measure, *columns, self.value, "spread", "paper"]
+        head = [self.measure, *columns, self.value, "spread", *["paper"] * self.of_the_paper]
         lines = [f"**{self.title}**", "", "| " + " | ".join(head) + " |"]
         lines.append("|" + "---|" * len(head))
         for line in self.lines:
             cells = [line.title, *(_cell(line.of_class(name)) for name in columns)]
-            cells += [f"**{_cell(line.mean)}**", _spread(line), _cell(line.paper)]
+            cells += [f"**{_cell(line.mean)}**", _spread(line)]
+            cells += [_cell(line.paper)] * self.of_the_paper
             lines.append("| " + " | ".join(cells) + " |")
         return "\n".join([*lines, "", *(f"- {one}" for one in self._remarks())]) + "\n"
 
@@ -110,11 +116,12 @@ class Table:
         """On a terminal."""
         shown = RichTable(title=self.title, title_justify="left", box=None)
         shown.add_column(self.measure)
-        for name in (*self.classes(), self.value, "spread", "paper"):
+        for name in (*self.classes(), self.value, "spread", *["paper"] * self.of_the_paper):
             shown.add_column(name, justify="right")
         for line in self.lines:
             cells = [_cell(line.of_class(name)) for name in self.classes()]
-            shown.add_row(line.title, *cells, _cell(line.mean), _spread(line), _cell(line.paper))
+            cells += [_cell(line.mean), _spread(line), *[_cell(line.paper)] * self.of_the_paper]
+            shown.add_row(line.title, *cells)
         console.print(shown)
         for remark in self._remarks():
             console.print(f"- {remark}", highlight=False, soft_wrap=True)

@@ -23,6 +23,8 @@ from tools.tables.table import Line, Table
 from tools.tables.world import JudgedScan, World
 
 NAME = "12"
+#: Persons of fewer returns than this, far off, get no box in the picture.
+BOXED = 10
 #: Where a return of a person is.
 IN_VIEW, OUT_NOW, NEVER = "in view", "out of view in this scan", "never in view"
 
@@ -65,7 +67,8 @@ def draw_unseen_persons(experiment: Experiment, folder: Path) -> list[Path]:
         assert row.network is not None
         network = experiment.networks.open(row.network, 0, row.size, row.normal)
         labelings[row.title] = classes_of(cloud_of(scan, row, network)).astype(np.uint8)
-    marked = [np.flatnonzero(scan.things == thing) for thing in never]
+    everyone = [np.flatnonzero(scan.things == thing) for thing in never]
+    marked = [points for points in everyone if len(points) >= BOXED]
     picture = range_panels(scan.observation, labelings, marked)
     return [write_picture(folder / f"figure-{NAME}.png", picture)]
 

@@ -92,3 +92,12 @@ def test_a_table_compares_the_order_with_the_papers() -> None:
     assert "- not here: best > better" in page
     assert "- best: with a reason" in page
     table.show(Console(quiet=True))
+
+
+def test_a_table_that_the_paper_has_not_has_no_column_of_it() -> None:
+    table = Table("t", [Line("a", [verdict(10)])], measure="recall in %", value="never in view")
+    head = table.markdown().splitlines()[2]
+    assert head.startswith("| recall in % |")
+    assert head.endswith("| never in view | spread |")
+    known = Table("t", [Line("a", [verdict(10)], paper=20.0)])
+    assert known.markdown().splitlines()[2].endswith("| mean | spread | paper |")
