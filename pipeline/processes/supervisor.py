@@ -35,6 +35,8 @@ from pipeline.transport.zenoh import Reserved
 POLL_S, PAGE_S = 0.05, 0.5
 #: How long the processes may take to find each other before the graph begins all the same.
 MEETING_S = 10.0
+#: How long a host waits for the one whose clock it follows before it says so.
+PATIENCE_S = 2.0
 #: From the word to go until the graph's clock starts: all must have heard it.
 HEAD_START_NS = 300_000_000
 #: So long after a process ended the others are told, whom the end of its streams may not reach: a
@@ -140,6 +142,10 @@ class Supervisor:
                     if missing:
                         self._event("not_heard", ", ".join(missing), "its process is not there yet")
                     break
+                if self._follows and not self._events and now - ready_since > PATIENCE_S:
+                    text = "all is open here; the graph's clock is that host's: start it there, too"
+                    self._event("waiting", f"host {host_of_clock(self._graph)}", text)
+                    self._show()
             time.sleep(POLL_S)
         for process in self._processes.values():
             self._go(process, late=self._follows)
@@ -260,7 +266,7 @@ class Supervisor:
         for process in running:
             process.ask("page")
         processes = list(self._processes.values())
-        elapsed_ns = time.monotonic_ns() - self._began_ns
+        elapsed_ns = time.monotonic_ns() - self._began_ns if self._began_ns else 0
         page = merged_page(self._graph, processes, self._events, elapsed_ns)
         if self._progress is not None:
             self._progress(snapshot_of(page, self._events))

@@ -95,6 +95,14 @@ def test_a_ground_station_joins_late_dies_and_comes_back_while_the_drone_flies_o
         assert_a_ground_station_comes_and_goes(start)
 
 
+def test_a_host_says_whom_it_waits_for(runs: list[Run], tmp_path: Path) -> None:
+    with Reserved() as reserved:
+        ground = starter(tmp_path, runs, reserved.endpoint, "zstd")("ground")
+        page = ground.until(lambda page: bool(page["events"]))
+    told = {event["kind"]: event for event in page["events"]}["waiting"]
+    assert (told["at_s"], told["of"]) == (0, "host drone")
+
+
 def test_so_it_does_between_two_network_namespaces(
     runs: list[Run], tmp_path: Path, namespaces: Namespaces
 ) -> None:
