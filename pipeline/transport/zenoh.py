@@ -90,6 +90,12 @@ def open_session(options: LinkOptions) -> zenoh.Session:
         ) from None
 
 
+def bare_publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
+    """A publisher of a bare session that waits for its link: by default Zenoh gives a message of
+    some MB up where the link's thread does not get a core at once."""
+    return session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+
+
 class Link(Closing):
     """One process's session; a `Transport`. Use it in a ``with`` block.
 

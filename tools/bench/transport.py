@@ -24,7 +24,7 @@ import zmq
 
 from pipeline.message import Message
 from pipeline.transport.envelope import Envelope
-from pipeline.transport.zenoh import Link, LinkOptions, free_endpoint, open_session
+from pipeline.transport.zenoh import Link, LinkOptions, bare_publisher, free_endpoint, open_session
 from stages.types import Image
 from tools.bench import transport_fanout
 from tools.bench.harness import Effort, Latency, Row, interleave, paced, ratio
@@ -122,7 +122,7 @@ def _senders(link: Link, session: Any, socket: zmq.Socket[bytes]) -> dict[str, S
             link.advertise(way)
             payload = bytes(8) if pixels is None else Image(pixels, "rgb")
             senders[f"{kind or 'ours '}{size}"] = partial(_ours, link, way.key, way.port, payload)
-            publisher = session.declare_publisher(raw_key(kind + size))
+            publisher = bare_publisher(session, raw_key(kind + size))
             senders[f"zenoh {kind}{size}"] = partial(_raw, publisher, data)
         senders[f"zmq {size}"] = partial(_zmq, socket, f"zmq {size}".encode(), data)
     return senders
@@ -145,9 +145,9 @@ def _zmq(socket: zmq.Socket[bytes], side: bytes, data: np.ndarray[Any, Any]) -> 
 
 def latencies(peer: Peer, side: str, send: Send, count: int) -> list[float]:
     """Of one round, us. One of which less than half arrived, since the two processes have not met
-    yet or another took the core, is measured anew."""
-    for _ in range(TRIES):
-        for _ in paced(count + WARM_UP, PERIOD_S):
+    yet or another took the core, is measured anew, at half the pace."""
+    for number in range(TRIES):
+        for _ in paced(count + WARM_UP, PERIOD_S * 2**number):
             send()
         each: list[float] = peer.ask(side, count + WARM_UP)
         if len(each) >= (count + WARM_UP) // 2:
