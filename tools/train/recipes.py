@@ -45,12 +45,16 @@ AHEAD = Augmentation(
     noise=4.0,
 )
 
+#: Size tells a parked motorcycle from a car, so objects are nearly as large as in the data.
+FROM_ABOVE = Augmentation(zoom=(0.7, 1.5), quarter_turn=0.0)
+
 DETECT_THERMAL = DetectorRecipe(
     name="detect-thermal",
     description="Persons, vehicles and bicycles in thermal images from above",
     size=(640, 512),
     channels=1,
     odds={"person": 0.45, "vehicle": 0.25, "bicycle": 0.30},
+    augmentation=FROM_ABOVE,
 )
 
 DETECT_RGB = DetectorRecipe(
