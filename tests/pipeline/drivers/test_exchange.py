@@ -142,7 +142,8 @@ def test_a_sender_that_is_started_anew_waits_for_its_own_messages(blocking: Pair
 
 def test_both_ends_count(pair: Pair) -> None:
     pair.send(0)
-    assert pair.one.books()["out"]["a.out@here"] == {"port": "a/out", "sent": 1, "failed": 0}
+    sent = {"port": "a/out", "sent": 1, "failed": 0, "sent_whole": 0}
+    assert pair.one.books()["out"]["a.out@here"] == sent
     end = pair.two.books()["in"]["a/out"]
     assert (end["received"], end["lost"], end["refused"]) == (1, 0, {})
 
