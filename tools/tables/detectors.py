@@ -88,6 +88,7 @@ def _trained(experiment: Experiment, flight: Path, camera: str) -> Detector:
             judged_on=None,
             restart=False,
             command="overflight evaluate --figure 18",
+            quantized=False,
         )
         experiment.console.print(f"training {name} ...", highlight=False)
         registry = train_detector(recipe, training, "residual", "centernet", experiment.console)
