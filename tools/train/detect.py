@@ -23,12 +23,15 @@ from tools.train.detector import MEAN, STD, Detector
 from tools.train.mobiledet import MobileDet
 from tools.train.pictures import LabeledPicture, read_pictures
 from tools.train.plan import Order, Plan, carry_out
-from tools.train.products import SAMPLES, Meaning
+from tools.train.products import Meaning
 from tools.train.recipes import DetectorRecipe
 from tools.train.residual_backbone import ResidualBackbone
 from tools.train.ssd import Ssd, SsdDetector
 from tools.train.task import Task
 
+#: So many images tell the 8-bit file which values each tensor takes: of 48 thermal ones none had
+#: the largest vehicles, whose AP fell by 12 points in 8 bits, and by none of 200.
+SAMPLES = 200
 #: Width of the MobileDet that takes as long for a frame as the residual backbone.
 MOBILEDET_WIDTH = 0.5
 
