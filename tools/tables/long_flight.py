@@ -17,10 +17,10 @@ from stages.taxonomy import load_taxonomy
 from stages.voxel_map import VoxelMap
 from tools.drawing.plot import Line, line_plot
 from tools.tables.evidence import fused_evidence
-from tools.tables.map_pictures import VOXEL_M, from_aside, legend_of, write_picture
+from tools.tables.map_pictures import from_aside, legend_of, write_picture
 from tools.tables.networks import ADAPTED, Networks
 from tools.tables.scan_judging import ScanNetwork
-from tools.tables.world import World
+from tools.tables.world import VOXEL_M, World
 
 FLIGHT = "long"
 #: The camera of the paper's side view stands low.

@@ -15,9 +15,7 @@ from stages.types import SemanticVoxels
 from stages.voxel_map import VoxelMap
 from tools.tables.evidence import fused_evidence
 from tools.tables.scan_judging import ScanNetwork
-from tools.tables.world import World
-
-VOXEL_M = 0.25
+from tools.tables.world import VOXEL_M, World
 
 
 def map_of(

@@ -26,9 +26,8 @@ from tools.tables.plan import RowPlan, TablePlan, plans
 from tools.tables.rows import Verdict
 from tools.tables.scan_judging import ScanNetwork
 from tools.tables.table import Line, Table
-from tools.tables.world import JudgedScan, World
+from tools.tables.world import VOXEL_M, JudgedScan, World
 
-VOXEL_M = 0.25
 FLIGHTS = {
     "flight_a": "flight A, whose labels were propagated",
     "flight_b": "city B, held out",

@@ -27,6 +27,8 @@ from tools.tables.plan import Flights, Scale, plans
 
 #: Nearer returns are the vehicle itself.
 MIN_RANGE_M = 1.0
+#: Of the maps, and of the true one.
+VOXEL_M = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
