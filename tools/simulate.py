@@ -156,8 +156,12 @@ def _write(simulation: Simulation, file: McapWriter, console: Console, jobs: int
             at(made[0][0].message.received / 1e9)
     if not simulation.preset.true_map:
         return
+    told = "making the true map: seconds to some minutes, by the length of the way ..."
+    if not console.is_terminal:
+        console.print(told)
     end = round(seconds * 1e9)
-    voxels: Message[LabeledVoxels] = Message.at(end, simulation.voxels())
+    with console.status(told):
+        voxels: Message[LabeledVoxels] = Message.at(end, simulation.voxels())
     sample = Sample(f"{TRUTH}map", voxels)
     _append(file, sample, codec_on(sample).encode(voxels))
 

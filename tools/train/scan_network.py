@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
 from tools.train.plan import Order
 from tools.train.products import Meaning
 
@@ -9,6 +14,9 @@ from tools.train.products import Meaning
 SIZE = (64, 512)
 #: Greatest learning rate: twice that of the image networks, as a scan network has few parameters.
 RATE = 4e-3
+#: The 8-bit file has one scale for all channels of its input. What is farther from the mean than so
+#: many deviations it takes as that far; the rest is told the more finely.
+SATURATED = 3.0
 
 
 def meaning_of_scans(description: str, order: Order) -> Meaning:
@@ -23,3 +31,8 @@ def meaning_of_scans(description: str, order: Order) -> Meaning:
         mean=0.0,
         std=1.0,
     )
+
+
+def calibration(inputs: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
+    """What tells the 8-bit file its ranges, of normalized inputs (channels, rows, columns)."""
+    return [one.clip(-SATURATED, SATURATED) for one in inputs]

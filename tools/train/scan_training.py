@@ -23,7 +23,7 @@ from tools.train.point_segmenter import PointSegmenter
 from tools.train.products import REGISTRY, SAMPLES
 from tools.train.salsanext import SalsaNext
 from tools.train.scan_mix import open_mix
-from tools.train.scan_network import RATE, SIZE, meaning_of_scans
+from tools.train.scan_network import RATE, SIZE, calibration, meaning_of_scans
 from tools.train.scan_recipes import recipe_named
 
 #: Parts of scans that are learned from at once; a larger batch is gathered from several.
@@ -61,7 +61,7 @@ def train_from_points(order: Order, choices: ScanChoices, console: Console) -> P
         shape=(channels, *SIZE),
         outputs=network.output_names,
         meaning=meaning_of_scans("Classes of the taxonomy in LiDAR scans", order),
-        samples=inputs,
+        samples=calibration(inputs),
         data=f"{mix.told}; recipe {recipe.name}, normalized as {choices.sensor}",
         rate=RATE,
         finish=lambda trained: _finish(trained, plan, order, choices, inputs, classes),

@@ -18,7 +18,7 @@ from tools.train.flights import with_truth
 from tools.train.plan import Order, Plan, carry_out
 from tools.train.products import SAMPLES
 from tools.train.salsanext import SalsaNext
-from tools.train.scan_network import RATE, SIZE, meaning_of_scans
+from tools.train.scan_network import RATE, SIZE, calibration, meaning_of_scans
 from tools.train.segmenter import LabeledScan, ScanSegmenter
 
 #: Up to this share of the returns are taken away in training: the sensor is the same, some of its
@@ -48,7 +48,7 @@ def train_scan_segmenter(
         meaning=meaning_of_scans(
             "Classes of the taxonomy in LiDAR scans, trained on simulation alone", order
         ),
-        samples=inputs,
+        samples=calibration(inputs),
         data=f"{order.data.name}: {len(scans):,} scans, normalized as {sensor}",
         rate=RATE,
         finish=lambda trained: balance(trained, inputs, [one.classes for one in chosen]),
