@@ -53,6 +53,14 @@ def explain_file(
     if explanation.gap is not None:
         Console(stderr=True).print(f"Only the beginning: {explanation.gap}", style="yellow")
     chosen = _chosen(explanation, at_s)
+    if at_s is not None and not _within(explanation, at_s):
+        first, last = _ends(explanation)
+        Console(stderr=True).print(
+            f"Nothing triggers {stage} at {at_s:g} s: its triggers are stamped {first:.3f} to "
+            f"{last:.3f} s. This is the nearest.",
+            style="yellow",
+            highlight=False,
+        )
     clocks = [clock_of(name, *times) for name, times in explanation.streams.items()]
     found = suggestions(explanation)
     if picture is not None:
@@ -91,6 +99,18 @@ def _check_stage(flight: Flight, stage: str) -> None:
         raise DataError(
             f"{stage} is a source: nothing is decided there; ask of {' or '.join(users)}"
         )
+
+
+def _ends(explanation: Explanation) -> tuple[float, float]:
+    """When the first and the last trigger are stamped, s from the beginning of the flight."""
+    stamps = [story.at_s for story in explanation.triggers]
+    return min(stamps), max(stamps)
+
+
+def _within(explanation: Explanation, at_s: float) -> bool:
+    """Whether a trigger may be stamped then: up to a second from the first and the last."""
+    first, last = _ends(explanation)
+    return first - 1.0 <= at_s <= last + 1.0
 
 
 def _chosen(explanation: Explanation, at_s: float | None) -> TriggerStory:

@@ -237,6 +237,9 @@ def test_explain_tells_why_a_stage_ran(flown: Path, overflight: Overflight) -> N
     )
     (trigger,) = one["triggers"]
     assert trigger["inputs"][0]["verdict"] == "settled"
+    beyond = overflight("explain", "f.mcap", "--stage", "pair", "--at", "99")
+    assert beyond.code == 0
+    assert "Nothing triggers pair at 99 s" in " ".join(beyond.err.split())
     assert overflight("explain", "f.mcap", "--stage", "pare").code == 2
     assert (
         "nothing is decided there; ask of pair"
