@@ -85,8 +85,6 @@ def _trained(experiment: Experiment, flight: Path, camera: str) -> Detector:
             threads=experiment.threads,
             license="Apache-2.0",
             attribution="a simulated flight of Overflight",
-            judged_on=None,
-            restart=False,
             command="overflight evaluate --figure 18",
             quantized=False,
         )

@@ -68,8 +68,6 @@ class Networks:
             threads=self._threads,
             license="Apache-2.0",
             attribution="simulated flights of Overflight",
-            judged_on=None,
-            restart=False,
             command="overflight evaluate --table",
             start=start,
             gathered=self._world.scale.batch // 4,

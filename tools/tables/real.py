@@ -180,8 +180,6 @@ def _trained(
         threads=order.threads,
         license="CC BY-NC-SA 3.0",
         attribution="KITTI (Geiger et al.): not to be passed on",
-        judged_on=None,
-        restart=False,
         command="overflight evaluate --table real",
         quantized=False,
     )

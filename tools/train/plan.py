@@ -35,9 +35,9 @@ class Order:
     threads: int
     license: str
     attribution: str
-    judged_on: Path | None
-    restart: bool
     command: str  #: the words that ask for it again
+    judged_on: Path | None = None
+    restart: bool = False
     start: Path | None = None  #: the folder of a training whose weights this one begins with
     gathered: int = 1  #: batches to a step, see `Settings`
     as_it_is: bool = False  #: write the files of what was learned so far instead of learning on

@@ -127,7 +127,7 @@ def test_a_training_is_of_what_was_chosen(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(scan_training, "carry_out", carry_out)
     order = Order(
         data=sequence(tmp_path / "00"), output=tmp_path / "net", steps=1, seed=0, threads=1,
-        license="none", attribution="none", judged_on=None, restart=False, command="test",
+        license="none", attribution="none", command="test",
     )  # fmt: skip
     choices = ScanChoices(width=0.25, sensor="semantickitti", recipe="strong", channels=4)
     scan_training.train_from_points(order, choices, QUIET)
