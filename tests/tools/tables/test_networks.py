@@ -125,8 +125,12 @@ def test_a_training_is_of_what_was_chosen(tmp_path: Path, monkeypatch: pytest.Mo
         return order.output
 
     monkeypatch.setattr(scan_training, "carry_out", carry_out)
+    scans = sequence(tmp_path / "00")
+    for file in (scans / "velodyne").iterdir():  # some of it farther off than 3 deviations
+        rows = np.fromfile(file, "<f4").reshape(-1, 4)
+        (rows * [4, 4, 4, 1]).astype("<f4").tofile(file)
     order = Order(
-        data=sequence(tmp_path / "00"), output=tmp_path / "net", steps=1, seed=0, threads=1,
+        data=scans, output=tmp_path / "net", steps=1, seed=0, threads=1,
         license="none", attribution="none", command="test",
     )  # fmt: skip
     choices = ScanChoices(width=0.25, sensor="semantickitti", recipe="strong", channels=4)
@@ -134,5 +138,9 @@ def test_a_training_is_of_what_was_chosen(tmp_path: Path, monkeypatch: pytest.Mo
     (plan,) = plans_made
     assert plan.shape == (4, 64, 512)
     assert plan.data == "100 % 00: 1 scans; recipe strong, normalized as semantickitti"
-    assert [one.shape for one in plan.samples] == [(4, 64, 512)]
+    (sample,) = plan.samples
+    assert sample.shape == (4, 64, 512)
+    # What tells the 8-bit file its ranges is cut off at 3 deviations; what is learned from is not.
+    assert np.abs(sample).max() == 3.0
+    assert plan.task.batch(np.random.default_rng(0))["input"].abs().max() > 3.0
     assert plan.task.batch(np.random.default_rng(0))["input"].shape == (4, 4, 64, 256)
