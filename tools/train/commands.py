@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.errors import ModelError
+from pipeline.errors import DataError, ModelError
 from tools.commands.app import examples
 
 if TYPE_CHECKING:
@@ -100,9 +100,9 @@ Start = Annotated[
     Path | None,
     typer.Option(
         "--from",
-        metavar="FOLDER",
-        help="Begin with the weights of that training: of the same network, or the backbone and "
-        "pyramid of another.",
+        metavar="FOLDER|FILE|NAME",
+        help="Begin with the weights of a training (its folder or .xml) or of a network that ships "
+        "(detect-rgb): the same network, or the backbone and pyramid of another.",
         show_default="with none",
     ),
 ]
@@ -138,6 +138,7 @@ Width = Annotated[
     epilog=examples(
         "overflight train detect-thermal --data thermal_frames --license 'CC BY 4.0' -o "
         "out/thermal",
+        "overflight train detect-thermal --data my_frames --from detect-thermal -o out/mine",
         "overflight run graph.yaml --models out/thermal/models.yaml",
     )
 )
@@ -176,7 +177,7 @@ def detect_thermal(
         restart=restart,
         as_it_is=as_it_is,
     )
-    _detector(DETECT_THERMAL, replace(order, start=start), backbone, head, zoom)
+    _detector(DETECT_THERMAL, replace(order, start=_start(start)), backbone, head, zoom)
 
 
 @app.command(
@@ -217,7 +218,7 @@ def detect_rgb(
         restart=restart,
         as_it_is=as_it_is,
     )
-    _detector(DETECT_RGB, replace(order, start=start), backbone, head, zoom)
+    _detector(DETECT_RGB, replace(order, start=_start(start)), backbone, head, zoom)
 
 
 @app.command(
@@ -242,6 +243,7 @@ def segment_rgb(
     threads: Threads = 1,
     license: License = "Apache-2.0",
     attribution: Attribution = SIMULATED,
+    start: Start = None,
     restart: Restart = False,
     as_it_is: AsItIs = False,
 ) -> None:
@@ -258,6 +260,8 @@ def segment_rgb(
     words = [f"--network={network}", f"--stride={stride}"]
     if deeplab:
         words.append(f"--width={width:g}")
+    if start is not None:
+        words += ["--from", start.name]
     order = _order(
         "segment-rgb",
         data,
@@ -271,6 +275,7 @@ def segment_rgb(
         restart=restart,
         as_it_is=as_it_is,
     )
+    order = replace(order, start=_start(start))
     _carry_out(order, lambda console: train_image_segmenter(order, network, width, stride, console))
 
 
@@ -341,8 +346,8 @@ def segment_scan(
         raise typer.BadParameter(f"{batch} is no multiple of {AT_ONCE}", param_hint="--batch")
     flights = data.suffix == ".mcap" or (data.is_dir() and any(data.glob("*.mcap")))
     from_points = recipe is not None or not flights
-    if not from_points and (channels not in (None, 5) or batch != AT_ONCE or start is not None):
-        raise typer.BadParameter("--channels, --batch and --from need a --recipe as well")
+    if not from_points and (channels not in (None, 5) or batch != AT_ONCE):
+        raise typer.BadParameter("--channels and --batch need a --recipe as well")
     words = [f"--width={width:g}", f"--sensor={sensor}"]
     if from_points:
         recipe = recipe or "plain"
@@ -363,12 +368,12 @@ def segment_scan(
         restart=restart,
         as_it_is=as_it_is,
     )
+    order = replace(order, start=_start(start), gathered=batch // AT_ONCE)
     if not from_points:
         _carry_out(
             order, lambda console: train_scan_segmenter(order, width, statistics, sensor, console)
         )
         return
-    order = replace(order, start=start, gathered=batch // AT_ONCE)
     choices = ScanChoices(width, sensor, statistics, recipe or "plain", channels)
     _carry_out(order, lambda console: train_from_points(order, choices, console))
 
@@ -404,6 +409,22 @@ def _order(
         restart=restart,
         as_it_is=as_it_is,
         command=shlex.join(said),
+    )
+
+
+def _start(start: Path | None) -> Path | None:
+    """The folder or file of what a training begins with. Raises DataError, ModelError."""
+    if start is None or start.is_dir() or start.suffix == ".xml":
+        return start
+    from accelerators.registry import Registry
+
+    registry = Registry.open()
+    for variant in registry.entry(str(start)).variants if str(start) in registry.names() else ():
+        if variant.kind == "openvino":
+            file, _ = registry.files(str(start), variant)
+            return file
+    raise DataError(
+        f"--from {start}: no folder of a training, no .xml file, and no network that ships as one"
     )
 
 

@@ -30,8 +30,6 @@ from tools.train.task import Settings, Task
 CHECKPOINT = "checkpoint.pt"
 #: A crash costs at most this.
 SAVE_EVERY_S = 60.0
-#: What a network may take over from another one on the same backbone.
-SHARED = ("backbone.", "pyramid.")
 #: A row of the curve stands for so many steps, and a line where there is no terminal for ten rows.
 ROW_STEPS = 20
 
@@ -183,28 +181,6 @@ class Training:
             ) from None
         self.step, self.seconds = state["step"], state["seconds"]
         self.curve.cut(self.step)
-
-
-def begin_with(network: nn.Module, checkpoint: Path) -> bool:
-    """Give the network the averaged weights of a training: all of them, or those of the backbone
-    and pyramid of another network on the same ones. Whether all; DataError where they do not fit.
-    """
-    try:
-        weights = torch.load(checkpoint, weights_only=True)["averaged"]
-        mine = network.state_dict()
-        whole: bool = weights.keys() == mine.keys()
-        if not whole:
-            weights = {name: one for name, one in weights.items() if name.startswith(SHARED)}
-            if weights.keys() != {name for name in mine if name.startswith(SHARED)}:
-                raise KeyError("neither the network nor its backbone and pyramid are the same")
-        network.load_state_dict(weights, strict=whole)
-        return whole
-    except (RuntimeError, KeyError, EOFError, OSError) as error:
-        reason = str(error).partition("\n")[0]
-        raise DataError(
-            f"{checkpoint}: cannot be begun with ({reason}); name the folder of a training of the "
-            "same network"
-        ) from None
 
 
 def _groups(network: nn.Module, weight_decay: float) -> list[dict[str, Any]]:

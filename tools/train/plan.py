@@ -13,10 +13,12 @@ from rich.console import Console
 from torch import nn
 
 from pipeline.errors import DataError
+from tools.train.beginning import begin_with
 from tools.train.blocks import parameters_of
 from tools.train.card import Origin, model_card
 from tools.train.export import Exportable
-from tools.train.loop import CHECKPOINT, Training, begin_with
+from tools.train.file_weights import begin_with_file
+from tools.train.loop import CHECKPOINT, Training
 from tools.train.products import REGISTRY, Meaning, write_products
 from tools.train.task import AVERAGING, Settings, Task
 
@@ -38,7 +40,7 @@ class Order:
     command: str  #: the words that ask for it again
     judged_on: Path | None = None
     restart: bool = False
-    start: Path | None = None  #: the folder of a training whose weights this one begins with
+    start: Path | None = None  #: a training's folder or IR (.xml), whose weights this begins with
     gathered: int = 1  #: batches to a step, see `Settings`
     as_it_is: bool = False  #: write the files of what was learned so far instead of learning on
     quantized: bool = True  #: write the 8-bit file as well, which takes a minute
@@ -67,6 +69,15 @@ def _so_far(training: Training) -> nn.Module:
     return training.averaged
 
 
+def _begun(task: Task, start: Path, seed: int) -> bool:
+    """Give the network weights to begin with; whether all of its own."""
+    if start.suffix == ".xml":
+        return begin_with_file(
+            task.network, start, task.batch(np.random.default_rng(seed))["input"]
+        )
+    return begin_with(task.network, start / CHECKPOINT)
+
+
 def carry_out(plan: Plan, order: Order, console: Console) -> Path:
     """Train, or go on, and write everything; the registry. Raises OverflightError, Interrupted."""
     if order.restart:
@@ -76,7 +87,7 @@ def carry_out(plan: Plan, order: Order, console: Console) -> Path:
     rate = plan.rate
     if order.start is not None:
         facts["start"] = order.start.name
-        if begin_with(plan.task.network, order.start / CHECKPOINT):
+        if _begun(plan.task, order.start, order.seed):
             rate *= FINE_TUNING
     if order.gathered > 1:
         facts["gathered"] = str(order.gathered)

@@ -15,8 +15,9 @@ from driving import arrive  # noqa: E402
 from rich.console import Console  # noqa: E402
 
 from pipeline.errors import DataError  # noqa: E402
+from tools.train.beginning import begin_with  # noqa: E402
 from tools.train.center_net import CenterNet  # noqa: E402
-from tools.train.loop import Interrupted, Training, begin_with  # noqa: E402
+from tools.train.loop import Interrupted, Training  # noqa: E402
 from tools.train.mobiledet import MobileDet  # noqa: E402
 from tools.train.precision import has_bfloat16  # noqa: E402
 from tools.train.pyramid_segmenter import PyramidSegmenter  # noqa: E402
