@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 
 from pipeline.errors import DeviceError, GraphError, OverflightError, StageError
-from tools.commands.app import RUN_FAILED, USER_MISTAKE, app, complain
+from tools.commands.app import INTERRUPTED, RUN_FAILED, USER_MISTAKE, app, complain
 from tools.models.commands import app as models_app
 from tools.train.commands import app as train_app
 
@@ -74,6 +74,12 @@ def shadowed() -> str | None:
     return None
 
 
+def _unsaid(leaving: SystemExit) -> bool:
+    """Whether no command has caught the Ctrl-C: it is typer that leaves, and says nothing."""
+    told = leaving.__context__
+    return told is not None and isinstance(told.__cause__, KeyboardInterrupt)
+
+
 def main() -> None:
     """The console script: an error of ours is one line on stderr, any other keeps its traceback."""
     problem = shadowed()
@@ -86,6 +92,10 @@ def main() -> None:
     sys.path.append(str(Path.cwd()))
     try:
         app()
+    except SystemExit as leaving:
+        if leaving.code == INTERRUPTED and _unsaid(leaving):
+            complain("Stopped by Ctrl-C.")
+        raise
     except GraphError as error:
         from tools.validate import print_mistakes
 

@@ -87,6 +87,17 @@ def test_the_version_is_the_distributions(overflight: Overflight) -> None:
     assert versions["numpy"]
 
 
+def test_ctrl_c_that_no_command_catches_is_said(
+    overflight: Overflight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted() -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tools.versions.own_version", interrupted)
+    answer = overflight("version")
+    assert (answer.code, answer.out, answer.err) == (130, "", "Stopped by Ctrl-C.\n")
+
+
 @pytest.mark.parametrize(("text", "speed"), [("1", 1.0), ("0.5", 0.5), ("max", None)])
 def test_a_speed_is_a_factor_or_max(text: str, speed: float | None) -> None:
     assert parse_speed(text) == speed

@@ -8,10 +8,11 @@ import typer
 
 RUN_FAILED = 1
 USER_MISTAKE = 2
+INTERRUPTED = 130
 
 app = typer.Typer(
     name="overflight",
-    epilog="Exit codes: 0 well, 1 a run failed, 2 a mistake in the file or the words.",
+    epilog="Exit codes: 0 well, 1 a run failed, 2 a mistake in the file or the words, 130 Ctrl-C.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

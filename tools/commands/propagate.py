@@ -7,11 +7,9 @@ from typing import Annotated
 
 import typer
 
-from tools.commands.app import app, examples
+from tools.commands.app import INTERRUPTED, app, examples
 from tools.commands.options import AsJson, ModelFiles, Settings
 from tools.propagation.settings import GroundFix, Teacher
-
-INTERRUPTED = 130
 
 
 @app.command(

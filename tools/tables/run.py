@@ -13,11 +13,10 @@ from rich.console import Console
 
 from pipeline.errors import ModelError
 from stages.sinks.whole_file import whole_file
+from tools.commands.app import INTERRUPTED
 from tools.tables.names import PaperFigure, PaperTable
 from tools.tables.order import TableOrder
 from tools.tables.table import Table
-
-INTERRUPTED = 130
 
 T = TypeVar("T")
 

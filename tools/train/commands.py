@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipeline.errors import DataError, ModelError
-from tools.commands.app import examples
+from tools.commands.app import INTERRUPTED, examples
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,7 +25,6 @@ app = typer.Typer(
     help="Train the networks on flights and annotated pictures (extras train and export).",
 )
 
-INTERRUPTED = 130
 SIMULATED = "simulated flights of Overflight"
 STATISTICS = Path(__file__).resolve().parents[2] / "stages" / "scan_statistics.yaml"
 
