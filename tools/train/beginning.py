@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from pipeline.errors import DataError
 
@@ -16,6 +16,8 @@ SHARED = ("backbone.", "pyramid.")
 def begin_with(network: nn.Module, checkpoint: Path) -> bool:
     """Give the network the averaged weights of a training: all of them, or those of the backbone
     and pyramid of another network on the same ones. Whether all; DataError where they do not fit.
+
+    A network of fewer input channels takes the weights of those that it has (`first_channels`).
     """
     try:
         weights = torch.load(checkpoint, weights_only=True)["averaged"]
@@ -25,6 +27,7 @@ def begin_with(network: nn.Module, checkpoint: Path) -> bool:
             weights = {name: one for name, one in weights.items() if name.startswith(SHARED)}
             if weights.keys() != {name for name in mine if name.startswith(SHARED)}:
                 raise KeyError("neither the network nor its backbone and pyramid are the same")
+        weights = {name: first_channels(one, mine[name]) for name, one in weights.items()}
         network.load_state_dict(weights, strict=whole)
         return whole
     except (RuntimeError, KeyError, EOFError, OSError) as error:
@@ -33,3 +36,12 @@ def begin_with(network: nn.Module, checkpoint: Path) -> bool:
             f"{checkpoint}: cannot be begun with ({reason}); name the folder of a training of the "
             "same network"
         ) from None
+
+
+def first_channels(weight: Tensor, mine: Tensor) -> Tensor:
+    """Weights (out, in, rows, columns) of the first input channels, where mine are fewer: a scan
+    network without remission, the last of its channels, takes the rest for what it was."""
+    same = (len(weight), *weight.shape[2:]) == (len(mine), *mine.shape[2:])
+    if weight.ndim == mine.ndim == 4 and same and mine.shape[1] < weight.shape[1]:
+        return weight[:, : mine.shape[1]].clone()
+    return weight

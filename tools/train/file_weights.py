@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from pipeline.errors import DataError
-from tools.train.beginning import SHARED
+from tools.train.beginning import SHARED, first_channels
 
 CONVOLUTIONS = ("Convolution", "GroupConvolution")
 NORMALIZATION = "BatchNormalization"
@@ -72,9 +72,11 @@ def _fitting(
     for name, module in network.named_modules():
         if isinstance(module, nn.Conv2d):
             weight, bias = layers.convolutions.get(name, (None, None))
-            if weight is None or weight.size != module.weight.numel():
+            if weight is None:
                 continue
-            yield name, (weight, bias)
+            fewer = first_channels(torch.from_numpy(weight), module.weight).numpy()
+            if fewer.size == module.weight.numel():
+                yield name, (fewer, bias)
         elif isinstance(module, nn.BatchNorm2d):
             if (own := layers.normalizations.get(name)) is not None:
                 yield name, own

@@ -22,6 +22,7 @@ from tools.train.mobiledet import MobileDet  # noqa: E402
 from tools.train.precision import has_bfloat16  # noqa: E402
 from tools.train.pyramid_segmenter import PyramidSegmenter  # noqa: E402
 from tools.train.residual_backbone import ResidualBackbone  # noqa: E402
+from tools.train.salsanext import SalsaNext  # noqa: E402
 from tools.train.task import Settings  # noqa: E402
 
 STEPS = 25
@@ -132,6 +133,21 @@ def test_a_detector_begins_with_the_backbone_and_pyramid_of_a_segmenter(tmp_path
             assert torch.equal(detector.state_dict()[name], one)
     assert torch.equal(detector.heat.weight, head)
     assert begin_with(CenterNet(ResidualBackbone(3), 3), averaged(detector, tmp_path))
+
+
+def test_a_scan_network_without_remission_begins_with_the_rest_of_one_that_has_it(
+    tmp_path: Path,
+) -> None:
+    five, four = (SalsaNext(6, channels=count, width=0.25) for count in (5, 4))
+    torch.save({"averaged": five.state_dict()}, tmp_path / "checkpoint.pt")
+    assert begin_with(four, tmp_path / "checkpoint.pt")
+    shape = torch.randn(1, 4, 32, 32)
+    unheard = torch.cat([shape, torch.zeros(1, 1, 32, 32)], dim=1)
+    with torch.no_grad():
+        assert torch.allclose(four.eval()(shape), five.eval()(unheard), atol=1e-5)
+    with pytest.raises(DataError, match="cannot be begun with"):  # and not the other way round
+        torch.save({"averaged": four.state_dict()}, tmp_path / "checkpoint.pt")
+        begin_with(five, tmp_path / "checkpoint.pt")
 
 
 def test_a_network_on_another_backbone_cannot_be_begun_with(tmp_path: Path) -> None:
