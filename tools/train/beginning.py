@@ -41,7 +41,7 @@ def begin_with(network: nn.Module, checkpoint: Path) -> bool:
 def first_channels(weight: Tensor, mine: Tensor) -> Tensor:
     """Weights (out, in, rows, columns) of the first input channels, where mine are fewer: a scan
     network without remission, the last of its channels, takes the rest for what it was."""
-    same = (len(weight), *weight.shape[2:]) == (len(mine), *mine.shape[2:])
-    if weight.ndim == mine.ndim == 4 and same and mine.shape[1] < weight.shape[1]:
-        return weight[:, : mine.shape[1]].clone()
-    return weight
+    if weight.ndim != 4 or mine.ndim != 4 or mine.shape[1] >= weight.shape[1]:
+        return weight
+    same = weight.shape[0] == mine.shape[0] and weight.shape[2:] == mine.shape[2:]
+    return weight[:, : mine.shape[1]].clone() if same else weight

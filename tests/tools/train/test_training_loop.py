@@ -145,8 +145,8 @@ def test_a_scan_network_without_remission_begins_with_the_rest_of_one_that_has_i
     unheard = torch.cat([shape, torch.zeros(1, 1, 32, 32)], dim=1)
     with torch.no_grad():
         assert torch.allclose(four.eval()(shape), five.eval()(unheard), atol=1e-5)
+    torch.save({"averaged": four.state_dict()}, tmp_path / "checkpoint.pt")
     with pytest.raises(DataError, match="cannot be begun with"):  # and not the other way round
-        torch.save({"averaged": four.state_dict()}, tmp_path / "checkpoint.pt")
         begin_with(five, tmp_path / "checkpoint.pt")
 
 
