@@ -29,8 +29,8 @@ venv: .venv/installed  ## Make the virtual environment .venv with everything in 
 # The flight is the same for demo and demo-truth: the command finds it made and says so.
 FLIGHT := $(BIN)/overflight simulate demo -o out/flight.mcap
 
-demo: venv  ## Simulate a flight and run the paper's whole graph with its networks on it (3 to 5 minutes)
-	@echo "1 of 4: simulating 10 s of flight, 1 to 2 minutes (once: it is kept in out/flight.mcap)"
+demo: venv  ## Simulate a flight and run the paper's whole graph with its networks on it (3 to 11 minutes)
+	@echo "1 of 4: simulating 10 s of flight, 1 to 5 minutes (once: it is kept in out/flight.mcap)"
 	$(FLIGHT)
 	@echo "2 of 4: the whole graph offline, so that every frame counts, 1 to 2 minutes"
 	$(BIN)/overflight run graphs/uav.yaml --speed max --out out/demo --report out/demo/report.json
@@ -44,7 +44,7 @@ demo-emulated: venv  ## Run the paper's graph on emulated sensors and devices fo
 	$(BIN)/overflight run graphs/emulated_uav.yaml --duration 15 --out out/emulated --report out/emulated/report.json
 
 demo-truth: venv  ## Simulate a flight and map it, what is true in place of the networks (4 minutes)
-	@echo "1 of 3: simulating 10 s of flight, 1.5 to 3 minutes (once: it is kept in out/flight.mcap)"
+	@echo "1 of 3: simulating 10 s of flight, 1 to 5 minutes (once: it is kept in out/flight.mcap)"
 	$(FLIGHT)
 	@echo "2 of 3: fusing and mapping it, half a minute to one"
 	$(BIN)/overflight run graphs/uav_truth.yaml --speed max --out out/truth --report out/truth/report.json
