@@ -148,6 +148,21 @@ def write_ir(onnx: Path, xml: Path) -> None:
         raise ModelError(f"{onnx} as {xml.name}: {_first_line(error)}") from error
 
 
+def operations(xml: Path) -> Sequence[Any]:
+    """The operations of an IR file, inputs first, as OpenVINO's nodes; nothing is compiled.
+
+    Raises DeviceError without OpenVINO, ModelError where the file cannot be read.
+    """
+    try:
+        import openvino
+    except ImportError as error:
+        raise DeviceError(f"openvino does not start ({error}): pip install openvino") from error
+    try:
+        return list(openvino.Core().read_model(xml).get_ordered_ops())
+    except RuntimeError as error:
+        raise ModelError(f"{xml}: cannot be read ({_first_line(error)})") from error
+
+
 class OpenVinoModel:
     """A compiled model with one infer request."""
 

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import openvino
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from accelerators.openvino import operations
 from pipeline.errors import DataError
 from tools.train.beginning import SHARED, first_channels
 
@@ -37,7 +37,8 @@ class _Layers:
 
 def begin_with_file(network: nn.Module, file: Path, inputs: Tensor) -> bool:
     """Give the network the weights of an IR file: all of them, or those of the backbone and pyramid
-    of another network on the same ones. Whether all; DataError where they do not fit.
+    of another network on the same ones. Whether all; DataError where they do not fit, ModelError
+    where the file cannot be read.
 
     `inputs` (n, channels, height, width), as the network gets them, tell what its normalizations
     would have measured.
@@ -128,14 +129,9 @@ def _measure(network: nn.Module, filled: list[nn.Module], inputs: Tensor) -> Non
 
 
 def _read(file: Path) -> _Layers:
-    try:
-        model = openvino.Core().read_model(str(file))
-    except RuntimeError as error:
-        reason = str(error).strip().splitlines()[-1]
-        raise DataError(f"{file}: cannot be begun with, as it cannot be read ({reason})") from None
     convolutions: dict[str, tuple[Array, Array | None]] = {}
     normalizations: dict[str, tuple[Array, Array]] = {}
-    for node in model.get_ordered_ops():
+    for node in operations(file):
         kind, module = node.get_type_name(), _module_of(node.get_friendly_name())
         if kind in CONVOLUTIONS:
             weight = _constant(node, 1)

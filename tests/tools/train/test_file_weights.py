@@ -9,7 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the extra 'train' is not installed")
 
-from pipeline.errors import DataError  # noqa: E402
+from pipeline.errors import DataError, ModelError  # noqa: E402
 from tools.train.center_net import CenterNet  # noqa: E402
 from tools.train.export import Exportable, write_onnx, write_openvino  # noqa: E402
 from tools.train.file_weights import begin_with_file  # noqa: E402
@@ -112,5 +112,5 @@ def test_a_file_of_another_network_and_no_network_are_refused(tmp_path: Path) ->
     assert all(torch.equal(one, kept[name]) for name, one in other.state_dict().items())
     broken = tmp_path / "broken.xml"
     broken.write_text("<net>")
-    with pytest.raises(DataError, match=r"broken\.xml: cannot be begun with"):
+    with pytest.raises(ModelError, match=r"broken\.xml: cannot be read"):
         begin_with_file(other, broken, torch.randn(1, 1, 64, 64))
