@@ -66,10 +66,12 @@ def test_every_row_names_a_network_and_every_network_known_parts() -> None:
         for one in table.rows.values():
             assert one.network is None or one.network in networks
     parts = {"source", "views", "map", "overlay", "fused", "unlabeled", *AGAIN}
-    for network in networks.values():
+    for name, network in networks.items():
         assert set(network.parts) <= parts
         assert network.recipe in RECIPES
-        assert network.start is None or networks[network.start].channels == network.channels
+        # What is compared has begun alike: with the source network, of as many channels or more.
+        assert network.start == (None if name in ("source", "source-shape") else "source")
+        assert network.channels <= networks["source"].channels
     for name in ("full", "quick"):
         assert scale_named(name).steps > 0
 
