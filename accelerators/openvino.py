@@ -153,12 +153,9 @@ def operations(xml: Path) -> Sequence[Any]:
 
     Raises DeviceError without OpenVINO, ModelError where the file cannot be read.
     """
+    core = OpenVino()._open()
     try:
-        import openvino
-    except ImportError as error:
-        raise DeviceError(f"openvino does not start ({error}): pip install openvino") from error
-    try:
-        return list(openvino.Core().read_model(xml).get_ordered_ops())
+        return list(core.read_model(xml).get_ordered_ops())
     except RuntimeError as error:
         raise ModelError(f"{xml}: cannot be read ({_first_line(error)})") from error
 

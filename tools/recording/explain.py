@@ -53,14 +53,8 @@ def explain_file(
     if explanation.gap is not None:
         Console(stderr=True).print(f"Only the beginning: {explanation.gap}", style="yellow")
     chosen = _chosen(explanation, at_s)
-    if at_s is not None and not _within(explanation, at_s):
-        first, last = _ends(explanation)
-        Console(stderr=True).print(
-            f"Nothing triggers {stage} at {at_s:g} s: its triggers are stamped {first:.3f} to "
-            f"{last:.3f} s. This is the nearest.",
-            style="yellow",
-            highlight=False,
-        )
+    if at_s is not None:
+        _tell_if_beyond(explanation, at_s)
     clocks = [clock_of(name, *times) for name, times in explanation.streams.items()]
     found = suggestions(explanation)
     if picture is not None:
@@ -101,16 +95,18 @@ def _check_stage(flight: Flight, stage: str) -> None:
         )
 
 
-def _ends(explanation: Explanation) -> tuple[float, float]:
-    """When the first and the last trigger are stamped, s from the beginning of the flight."""
+def _tell_if_beyond(explanation: Explanation, at_s: float) -> None:
+    """Say so where the time lies over a second before the first trigger or after the last."""
     stamps = [story.at_s for story in explanation.triggers]
-    return min(stamps), max(stamps)
-
-
-def _within(explanation: Explanation, at_s: float) -> bool:
-    """Whether a trigger may be stamped then: up to a second from the first and the last."""
-    first, last = _ends(explanation)
-    return first - 1.0 <= at_s <= last + 1.0
+    first, last = min(stamps), max(stamps)
+    if first - 1.0 <= at_s <= last + 1.0:
+        return
+    Console(stderr=True).print(
+        f"Nothing triggers {explanation.node.name} at {at_s:g} s: its triggers are stamped "
+        f"{first:.3f} to {last:.3f} s. This is the nearest.",
+        style="yellow",
+        highlight=False,
+    )
 
 
 def _chosen(explanation: Explanation, at_s: float | None) -> TriggerStory:

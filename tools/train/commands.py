@@ -161,7 +161,7 @@ def detect_thermal(
     _need_torch()
     from tools.train.recipes import DETECT_THERMAL
 
-    words = _detector_words(backbone, head, start, zoom)
+    words = _detector_words(backbone, head, zoom)
     order = _order(
         "detect-thermal",
         data,
@@ -173,10 +173,11 @@ def detect_thermal(
         attribution,
         words,
         judge,
+        start=start,
         restart=restart,
         as_it_is=as_it_is,
     )
-    _detector(DETECT_THERMAL, replace(order, start=_start(start)), backbone, head, zoom)
+    _detector(DETECT_THERMAL, order, backbone, head, zoom)
 
 
 @app.command(
@@ -202,7 +203,7 @@ def detect_rgb(
     _need_torch()
     from tools.train.recipes import DETECT_RGB
 
-    words = _detector_words(backbone, head, start, zoom)
+    words = _detector_words(backbone, head, zoom)
     order = _order(
         "detect-rgb",
         data,
@@ -214,10 +215,11 @@ def detect_rgb(
         attribution,
         words,
         judge,
+        start=start,
         restart=restart,
         as_it_is=as_it_is,
     )
-    _detector(DETECT_RGB, replace(order, start=_start(start)), backbone, head, zoom)
+    _detector(DETECT_RGB, order, backbone, head, zoom)
 
 
 @app.command(
@@ -259,8 +261,6 @@ def segment_rgb(
     words = [f"--network={network}", f"--stride={stride}"]
     if deeplab:
         words.append(f"--width={width:g}")
-    if start is not None:
-        words += ["--from", start.name]
     order = _order(
         "segment-rgb",
         data,
@@ -271,10 +271,10 @@ def segment_rgb(
         license,
         attribution,
         words,
+        start=start,
         restart=restart,
         as_it_is=as_it_is,
     )
-    order = replace(order, start=_start(start))
     _carry_out(order, lambda console: train_image_segmenter(order, network, width, stride, console))
 
 
@@ -352,8 +352,6 @@ def segment_scan(
         recipe = recipe or "plain"
         words += [f"--recipe={recipe}", f"--batch={batch}"]
         words += [] if channels is None else [f"--channels={channels}"]
-    if start is not None:
-        words += ["--from", start.name]
     order = _order(
         "segment-scan",
         data,
@@ -364,10 +362,11 @@ def segment_scan(
         license,
         attribution,
         words,
+        start=start,
         restart=restart,
         as_it_is=as_it_is,
     )
-    order = replace(order, start=_start(start), gathered=batch // AT_ONCE)
+    order = replace(order, gathered=batch // AT_ONCE)
     if not from_points:
         _carry_out(
             order, lambda console: train_scan_segmenter(order, width, statistics, sensor, console)
@@ -389,6 +388,7 @@ def _order(
     words: list[str],
     judged_on: Path | None = None,
     *,
+    start: Path | None,
     restart: bool,
     as_it_is: bool,
 ) -> Order:
@@ -396,6 +396,7 @@ def _order(
 
     said = ["overflight", "train", name, "--data", data.name]
     said += ["--steps", str(steps), "--seed", str(seed), *words]
+    said += [] if start is None else ["--from", start.name]
     return Order(
         data=data,
         output=output,
@@ -405,6 +406,7 @@ def _order(
         license=license,
         attribution=attribution,
         judged_on=judged_on,
+        start=_start(start),
         restart=restart,
         as_it_is=as_it_is,
         command=shlex.join(said),
@@ -417,25 +419,20 @@ def _start(start: Path | None) -> Path | None:
         return start
     from accelerators.registry import Registry
 
-    registry = Registry.open()
-    for variant in registry.entry(str(start)).variants if str(start) in registry.names() else ():
+    registry, name = Registry.open(), str(start)
+    variants = registry.entry(name).variants if name in registry.names() else ()
+    for variant in variants:
         if variant.kind == "openvino":
-            file, _ = registry.files(str(start), variant)
-            return file
+            return registry.files(name, variant)[0]
     raise DataError(
         f"--from {start}: no folder of a training, no .xml file, and no network that ships as one"
     )
 
 
 def _detector_words(
-    backbone: BackboneName,
-    head: HeadName,
-    start: Path | None,
-    zoom: tuple[float, float] | None,
+    backbone: BackboneName, head: HeadName, zoom: tuple[float, float] | None
 ) -> list[str]:
     words = [f"--backbone={backbone}", f"--head={head}"]
-    if start is not None:
-        words += ["--from", start.name]
     if zoom is not None:
         words += ["--zoom", *(f"{one:g}" for one in zoom)]
     return words

@@ -142,5 +142,6 @@ def test_a_training_is_of_what_was_chosen(tmp_path: Path, monkeypatch: pytest.Mo
     assert sample.shape == (4, 64, 512)
     # What tells the 8-bit file its ranges is cut off at 3 deviations; what is learned from is not.
     assert np.abs(sample).max() == 3.0
-    assert plan.task.batch(np.random.default_rng(0))["input"].abs().max() > 3.0
-    assert plan.task.batch(np.random.default_rng(0))["input"].shape == (4, 4, 64, 256)
+    learned_from = plan.task.batch(np.random.default_rng(0))["input"]
+    assert learned_from.abs().max() > 3.0
+    assert learned_from.shape == (4, 4, 64, 256)
