@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from pickle import UnpicklingError
 
 import torch
 from torch import Tensor, nn
@@ -12,30 +14,43 @@ from pipeline.errors import DataError
 #: What a network may take over from another one on the same backbone.
 SHARED = ("backbone.", "pyramid.")
 
+#: Parameters and buffers by their names, as `state_dict` has them.
+Weights = Mapping[str, Tensor]
 
-def begin_with(network: nn.Module, checkpoint: Path) -> bool:
-    """Give the network the averaged weights of a training: all of them, or those of the backbone
-    and pyramid of another network on the same ones. Whether all; DataError where they do not fit.
+
+def begin_with(network: nn.Module, weights: Weights, told: Path) -> bool:
+    """Give the network the weights: all of its own, or those of the backbone and pyramid of another
+    network on the same ones. Whether all; DataError, naming where they are `told`, where neither
+    fits, with the network as it was.
 
     A network of fewer input channels takes the weights of those that it has (`first_channels`).
     """
+    mine = network.state_dict()
+    fitting = {name: first_channels(weights[name], mine[name]) for name in mine.keys() & weights}
+    fitting = {name: one for name, one in fitting.items() if one.shape == mine[name].shape}
+    whole: bool = fitting.keys() == mine.keys()
+    if not whole:
+        shared = {name for name in mine if name.startswith(SHARED)}
+        if not shared or not shared <= fitting.keys():
+            raise DataError(
+                f"{told}: cannot be begun with (neither the network nor its backbone and pyramid "
+                "are the same); name the folder or .xml of a training of the same network"
+            )
+        fitting = {name: fitting[name] for name in shared}
+    network.load_state_dict(fitting, strict=whole)
+    return whole
+
+
+def weights_of_training(checkpoint: Path) -> Weights:
+    """The averaged weights of a training. Raises DataError where it is none, or broken."""
     try:
-        weights = torch.load(checkpoint, weights_only=True)["averaged"]
-        mine = network.state_dict()
-        whole: bool = weights.keys() == mine.keys()
-        if not whole:
-            weights = {name: one for name, one in weights.items() if name.startswith(SHARED)}
-            if weights.keys() != {name for name in mine if name.startswith(SHARED)}:
-                raise KeyError("neither the network nor its backbone and pyramid are the same")
-        weights = {name: first_channels(one, mine[name]) for name, one in weights.items()}
-        network.load_state_dict(weights, strict=whole)
-        return whole
-    except (RuntimeError, KeyError, EOFError, OSError) as error:
+        weights: Weights = torch.load(checkpoint, weights_only=True)["averaged"]
+    except (RuntimeError, KeyError, EOFError, OSError, UnpicklingError) as error:
         reason = str(error).partition("\n")[0]
         raise DataError(
-            f"{checkpoint}: cannot be begun with ({reason}); name the folder of a training of the "
-            "same network"
+            f"{checkpoint}: cannot be begun with ({reason}); name the folder of a training"
         ) from None
+    return weights
 
 
 def first_channels(weight: Tensor, mine: Tensor) -> Tensor:

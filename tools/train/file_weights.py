@@ -7,6 +7,7 @@ measured is measured on one batch, so that learning goes on from there.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from accelerators.openvino import operations
-from pipeline.errors import DataError
-from tools.train.beginning import SHARED, first_channels
+from tools.train.beginning import Weights, first_channels
 
 CONVOLUTIONS = ("Convolution", "GroupConvolution")
 NORMALIZATION = "BatchNormalization"
@@ -35,35 +35,25 @@ class _Layers:
     normalizations: Mapping[str, tuple[Array, Array]]  #: scale, shift
 
 
-def begin_with_file(network: nn.Module, file: Path, inputs: Tensor) -> bool:
-    """Give the network the weights of an IR file: all of them, or those of the backbone and pyramid
-    of another network on the same ones. Whether all; DataError where they do not fit, ModelError
-    where the file cannot be read.
+def weights_of_file(network: nn.Module, file: Path, inputs: Tensor) -> Weights:
+    """What an IR file has for the convolutions and normalizations of a network, of their shapes.
+    Raises ModelError where the file cannot be read.
 
     `inputs` (n, channels, height, width), as the network gets them, tell what its normalizations
-    would have measured.
+    would have measured. The network itself stays as it is.
     """
-    layers = _read(file)
-    known = dict(_fitting(network, layers))
-    wanted = [
-        name
-        for name, module in network.named_modules()
-        if isinstance(module, nn.Conv2d | nn.BatchNorm2d)
-    ]
-    whole = all(name in known for name in wanted)
-    if not whole:
-        wanted = [name for name in wanted if name.startswith(SHARED)]
-        if not wanted or not all(name in known for name in wanted):
-            raise DataError(
-                f"{file}: cannot be begun with (neither the network nor its backbone and pyramid "
-                "are the same); name a file of the same network"
-            )
-    modules = dict(network.named_modules())
+    known = dict(_fitting(network, _read(file)))
+    filled = copy.deepcopy(network)
+    modules = {name: one for name, one in filled.named_modules() if name in known}
     with torch.no_grad():
-        for name in wanted:
-            _fill(modules[name], *known[name])
-    _measure(network, [modules[name] for name in wanted], inputs)
-    return whole
+        for name, module in modules.items():
+            _fill(module, *known[name])
+    _measure(filled, list(modules.values()), inputs)
+    return {
+        f"{name}.{of}": weight
+        for name, module in modules.items()
+        for of, weight in module.state_dict().items()
+    }
 
 
 def _fitting(
@@ -114,9 +104,7 @@ def _measure(network: nn.Module, filled: list[nn.Module], inputs: Tensor) -> Non
 
     norms = [one for one in filled if isinstance(one, nn.BatchNorm2d)]
     hooks = [one.register_forward_pre_hook(look) for one in norms]
-    learning = network.training
     network.eval()(inputs)
-    network.train(learning)
     for hook in hooks:
         hook.remove()
     for module, mean, variance in seen:

@@ -13,11 +13,11 @@ from rich.console import Console
 from torch import nn
 
 from pipeline.errors import DataError
-from tools.train.beginning import begin_with
+from tools.train.beginning import begin_with, weights_of_training
 from tools.train.blocks import parameters_of
 from tools.train.card import Origin, model_card
 from tools.train.export import Exportable
-from tools.train.file_weights import begin_with_file
+from tools.train.file_weights import weights_of_file
 from tools.train.loop import CHECKPOINT, Training
 from tools.train.products import REGISTRY, Meaning, write_products
 from tools.train.task import AVERAGING, Settings, Task
@@ -72,10 +72,11 @@ def _so_far(training: Training) -> nn.Module:
 def _begun(task: Task, start: Path, seed: int) -> bool:
     """Give the network weights to begin with; whether all of its own."""
     if start.suffix == ".xml":
-        return begin_with_file(
-            task.network, start, task.batch(np.random.default_rng(seed))["input"]
-        )
-    return begin_with(task.network, start / CHECKPOINT)
+        inputs = task.batch(np.random.default_rng(seed))["input"]
+        weights = weights_of_file(task.network, start, inputs)
+    else:
+        weights = weights_of_training(start / CHECKPOINT)
+    return begin_with(task.network, weights, start)
 
 
 def carry_out(plan: Plan, order: Order, console: Console) -> Path:

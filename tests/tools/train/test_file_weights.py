@@ -10,9 +10,10 @@ import pytest
 torch = pytest.importorskip("torch", reason="the extra 'train' is not installed")
 
 from pipeline.errors import DataError, ModelError  # noqa: E402
+from tools.train.beginning import begin_with  # noqa: E402
 from tools.train.center_net import CenterNet  # noqa: E402
 from tools.train.export import Exportable, write_onnx, write_openvino  # noqa: E402
-from tools.train.file_weights import begin_with_file  # noqa: E402
+from tools.train.file_weights import weights_of_file  # noqa: E402
 from tools.train.mobiledet import MobileDet  # noqa: E402
 from tools.train.pyramid_segmenter import PyramidSegmenter  # noqa: E402
 from tools.train.residual_backbone import ResidualBackbone  # noqa: E402
@@ -54,6 +55,10 @@ def file_of(network: torch.nn.Module, side: int, folder: Path) -> Path:
     names = getattr(network, "output_names", ("scores",))
     model = Exportable("net", network.eval(), (1, side, side), names)
     return write_openvino(model, write_onnx(model, folder), folder)
+
+
+def begin_with_file(network: torch.nn.Module, file: Path, inputs: torch.Tensor) -> bool:
+    return begin_with(network, weights_of_file(network, file, inputs), file)
 
 
 def answers(network: torch.nn.Module, inputs: torch.Tensor) -> torch.Tensor:

@@ -15,7 +15,7 @@ from driving import arrive  # noqa: E402
 from rich.console import Console  # noqa: E402
 
 from pipeline.errors import DataError  # noqa: E402
-from tools.train.beginning import begin_with  # noqa: E402
+from tools.train.beginning import begin_with, weights_of_training  # noqa: E402
 from tools.train.center_net import CenterNet  # noqa: E402
 from tools.train.loop import Interrupted, Training  # noqa: E402
 from tools.train.mobiledet import MobileDet  # noqa: E402
@@ -116,44 +116,55 @@ def test_a_loss_that_is_no_number_ends_the_training_with_a_sentence(tmp_path: Pa
         Training(Line(poison=True), settings(), tmp_path).run(QUIET)
 
 
-def averaged(network: torch.nn.Module, folder: Path) -> Path:
-    """A checkpoint with nothing but what another training begins with."""
+def begun(network: torch.nn.Module, other: torch.nn.Module, folder: Path) -> bool:
+    """From a checkpoint with nothing but what another training begins with."""
     path = folder / "checkpoint.pt"
-    torch.save({"averaged": network.state_dict()}, path)
-    return path
+    torch.save({"averaged": other.state_dict()}, path)
+    return begin_with(network, weights_of_training(path), folder)
 
 
 def test_a_detector_begins_with_the_backbone_and_pyramid_of_a_segmenter(tmp_path: Path) -> None:
     segmenter = PyramidSegmenter(ResidualBackbone(3), 16)
     detector = CenterNet(ResidualBackbone(3), 3)
     head = detector.heat.weight.clone()
-    assert not begin_with(detector, averaged(segmenter, tmp_path))
+    assert not begun(detector, segmenter, tmp_path)
     for name, one in segmenter.state_dict().items():
         if name.startswith(("backbone.", "pyramid.")):
             assert torch.equal(detector.state_dict()[name], one)
     assert torch.equal(detector.heat.weight, head)
-    assert begin_with(CenterNet(ResidualBackbone(3), 3), averaged(detector, tmp_path))
+    assert begun(CenterNet(ResidualBackbone(3), 3), detector, tmp_path)
 
 
 def test_a_scan_network_without_remission_begins_with_the_rest_of_one_that_has_it(
     tmp_path: Path,
 ) -> None:
     five, four = (SalsaNext(6, channels=count, width=0.25) for count in (5, 4))
-    torch.save({"averaged": five.state_dict()}, tmp_path / "checkpoint.pt")
-    assert begin_with(four, tmp_path / "checkpoint.pt")
+    assert begun(four, five, tmp_path)
     shape = torch.randn(1, 4, 32, 32)
     unheard = torch.cat([shape, torch.zeros(1, 1, 32, 32)], dim=1)
     with torch.no_grad():
         assert torch.allclose(four.eval()(shape), five.eval()(unheard), atol=1e-5)
-    torch.save({"averaged": four.state_dict()}, tmp_path / "checkpoint.pt")
     with pytest.raises(DataError, match="cannot be begun with"):  # and not the other way round
-        begin_with(five, tmp_path / "checkpoint.pt")
+        begun(five, four, tmp_path)
 
 
 def test_a_network_on_another_backbone_cannot_be_begun_with(tmp_path: Path) -> None:
-    other = averaged(CenterNet(MobileDet(3, 0.5), 3), tmp_path)
-    with pytest.raises(DataError, match=r"backbone and pyramid.*name the folder of a training"):
-        begin_with(CenterNet(ResidualBackbone(3), 3), other)
+    other = CenterNet(MobileDet(3, 0.5), 3)
+    with pytest.raises(DataError, match=r"backbone and pyramid.*name the folder or .xml"):
+        begun(CenterNet(ResidualBackbone(3), 3), other, tmp_path)
+
+
+def test_what_is_no_training_cannot_be_begun_with(tmp_path: Path) -> None:
+    broken = tmp_path / "checkpoint.pt"
+    torch.save({"weights": {}}, broken)
+    content = broken.read_bytes()
+    for held in (None, content, content[: len(content) // 2], b"", b"weights"):
+        if held is None:
+            broken.unlink()
+        else:
+            broken.write_bytes(held)
+        with pytest.raises(DataError, match=r"cannot be begun with.*name the folder of a training"):
+            weights_of_training(broken)
 
 
 def test_the_rate_rises_and_falls_to_nothing() -> None:
