@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from pickle import UnpicklingError
 
-import torch
 from torch import Tensor, nn
 
 from pipeline.errors import DataError
+from tools.train.checkpoint import opened
 
 #: What a network may take over from another one on the same backbone.
 SHARED = ("backbone.", "pyramid.")
@@ -43,13 +42,10 @@ def begin_with(network: nn.Module, weights: Weights, told: Path) -> bool:
 
 def weights_of_training(checkpoint: Path) -> Weights:
     """The averaged weights of a training. Raises DataError where it is none, or broken."""
-    try:
-        weights: Weights = torch.load(checkpoint, weights_only=True)["averaged"]
-    except (RuntimeError, KeyError, EOFError, OSError, UnpicklingError) as error:
-        reason = str(error).partition("\n")[0]
-        raise DataError(
-            f"{checkpoint}: cannot be begun with ({reason}); name the folder of a training"
-        ) from None
+    with opened(
+        checkpoint, purpose="be begun with", advice="name the folder of a training"
+    ) as state:
+        weights: Weights = state["averaged"]
     return weights
 
 

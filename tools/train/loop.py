@@ -23,11 +23,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor, nn
 
 from pipeline.errors import DataError
+from tools.train.checkpoint import CHECKPOINT, opened
 from tools.train.curve import Curve
 from tools.train.precision import has_bfloat16
 from tools.train.task import Settings, Task
 
-CHECKPOINT = "checkpoint.pt"
 #: A crash costs at most this.
 SAVE_EVERY_S = 60.0
 #: A row of the curve stands for so many steps, and a line where there is no terminal for ten rows.
@@ -161,8 +161,7 @@ class Training:
 
     def _resume(self) -> None:
         path = self.folder / CHECKPOINT
-        try:
-            state = torch.load(path, weights_only=True)
+        with opened(path, purpose="be resumed", advice="--restart begins anew") as state:
             was, now = state["settings"], _comparable(self.settings)
             other = [name for name in now if was.get(name) != now[name]]
             if other:
@@ -174,12 +173,7 @@ class Training:
             self.network.load_state_dict(state["network"])
             self.averaged.load_state_dict(state["averaged"])
             self.optimizer.load_state_dict(state["optimizer"])
-        except (RuntimeError, KeyError, EOFError, OSError) as error:
-            reason = str(error).partition("\n")[0]
-            raise DataError(
-                f"{path}: cannot be resumed ({reason}); --restart begins anew"
-            ) from None
-        self.step, self.seconds = state["step"], state["seconds"]
+            self.step, self.seconds = state["step"], state["seconds"]
         self.curve.cut(self.step)
 
 

@@ -16,9 +16,10 @@ from pipeline.errors import DataError
 from tools.train.beginning import begin_with, weights_of_training
 from tools.train.blocks import parameters_of
 from tools.train.card import Origin, model_card
+from tools.train.checkpoint import CHECKPOINT
 from tools.train.export import Exportable
 from tools.train.file_weights import weights_of_file
-from tools.train.loop import CHECKPOINT, Training
+from tools.train.loop import Training
 from tools.train.products import REGISTRY, Meaning, write_products
 from tools.train.task import AVERAGING, Settings, Task
 

@@ -106,9 +106,10 @@ def test_another_training_in_the_same_folder_is_refused(tmp_path: Path) -> None:
 def test_a_broken_checkpoint_is_no_traceback(tmp_path: Path) -> None:
     Training(Line(), settings(), tmp_path).run(QUIET)
     content = (tmp_path / "checkpoint.pt").read_bytes()
-    (tmp_path / "checkpoint.pt").write_bytes(content[: len(content) // 2])
-    with pytest.raises(DataError, match=r"cannot be resumed.*--restart"):
-        Training(Line(), settings(), tmp_path)
+    for broken in (content[: len(content) // 2], b"weights", b""):
+        (tmp_path / "checkpoint.pt").write_bytes(broken)
+        with pytest.raises(DataError, match=r"cannot be resumed.*--restart"):
+            Training(Line(), settings(), tmp_path)
 
 
 def test_a_loss_that_is_no_number_ends_the_training_with_a_sentence(tmp_path: Path) -> None:
