@@ -632,12 +632,7 @@ class Scheduler(Streams):
         messages: list[tuple[OutputPort, Message[Any]]] = []
         for output in run.outputs:
             port = stage.ports[output.port]
-            if output.stamp is None:
-                stamp, begin, end = trigger.stamp, trigger.begin, trigger.end
-            else:
-                stamp = output.stamp
-                begin = stamp if output.begin is None else output.begin
-                end = stamp if output.end is None else output.end
+            stamp, begin, end = _when(output, trigger)
             message = Message(
                 output.payload,
                 stamp,
@@ -693,6 +688,15 @@ def _goes_on(lost: Device) -> str:
         fate = f"{stage.device.name} takes over" if stage.device else "nothing runs"
         fates.setdefault(fate, []).append(stage.node.name)
     return "is lost; " + ", ".join(f"{fate} {' '.join(names)}" for fate, names in fates.items())
+
+
+def _when(output: Output, trigger: Message[Any]) -> tuple[int, int, int]:
+    """Stamp, begin and end of a result: its own, or the trigger's where it has none."""
+    if output.stamp is None:
+        return trigger.stamp, trigger.begin, trigger.end
+    begin = output.stamp if output.begin is None else output.begin
+    end = output.stamp if output.end is None else output.end
+    return output.stamp, begin, end
 
 
 def _lineage(inputs: InputSet) -> tuple[tuple[Sample, ...], bool]:

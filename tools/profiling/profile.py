@@ -6,6 +6,7 @@ import json
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -54,73 +55,78 @@ def profile_file(
     if plot is not None and not sweep:
         raise typer.BadParameter("--plot draws a sweep; add one, e.g. --sweep executor")
     graph, catalog = open_graph(path, settings, overlays, models, out)
-    for file in (html, plot, costs):
-        if file is not None:
-            make_room_for(file)
+    written = [file for file in (html, plot, costs) if file is not None]
+    for file in written:
+        make_room_for(file)
     print_warnings(graph.warnings)
     err = Console(stderr=True, highlight=False, soft_wrap=True)
-    table = CostTable()
-    machine = sentence(describe())
+    machine = sentence(describe())  # with its load before the first run
 
     def overlay(file: Path) -> Graph:
         return open_graph(path, settings, [*overlays, file], models, out)[0]
 
-    page: dict[str, Any] | None = None
-    swept: list[dict[str, Any]] = []
     if sweep:
         every = points(graph, catalog, asked, overlay)
-        swept = _sweep(graph, catalog, every, duration_s or SECONDS_OF_A_POINT, table, err)
-        failures = [f"{point['variant']}: {point['failed']}" for point in swept if point["failed"]]
-        failures = [] if any(not point["failed"] for point in swept) else failures
+        measured = _sweep(graph, catalog, every, duration_s or SECONDS_OF_A_POINT, err)
     else:
-        result = _once(graph, catalog, duration_s or SECONDS, err)
-        table.add(graph, result.report)
-        page = profile_page(graph, result.report)
-        failures = list(result.failures)
-
-    if as_json:
-        typer.echo(json.dumps({"machine": machine, "profile": page, "sweep": swept}, indent=2))
-    else:
-        console = Console()
-        if page is not None:
-            print_profile(page, console)
-        else:
-            print_sweep(swept, console)
+        measured = _once(graph, catalog, duration_s or SECONDS, err)
+    measured.show(machine, as_json=as_json)
     if html is not None:
         command = shlex.join(["overflight", *sys.argv[1:]])
-        html.write_text(html_page(page, Diagram.of(graph), swept, machine, command))
+        page = html_page(measured.page, Diagram.of(graph), measured.swept, machine, command)
+        html.write_text(page)
     if plot is not None:
-        plot.write_text(sweep_plot(swept) + "\n")
+        plot.write_text(sweep_plot(measured.swept) + "\n")
     if costs is not None:
-        table.write(costs, graph)
-    for file in (html, plot, costs):
-        if file is not None:
-            err.print(f"Written: {file}")
-    return failures
+        measured.costs.write(costs, graph)
+    for file in written:
+        err.print(f"Written: {file}")
+    return measured.failures
 
 
-def _once(graph: Graph, catalog: Catalog, seconds: float, err: Console) -> RunResult:
+@dataclass(frozen=True, slots=True)
+class _Measured:
+    """What one run, or the runs of a sweep, have told."""
+
+    costs: CostTable
+    page: dict[str, Any] | None  #: of one run
+    swept: list[dict[str, Any]]  #: of the runs of a sweep
+    failures: list[str]
+
+    def show(self, machine: str, *, as_json: bool) -> None:
+        if as_json:
+            told = {"machine": machine, "profile": self.page, "sweep": self.swept}
+            typer.echo(json.dumps(told, indent=2))
+        elif self.page is not None:
+            print_profile(self.page, Console())
+        else:
+            print_sweep(self.swept, Console())
+
+
+def _once(graph: Graph, catalog: Catalog, seconds: float, err: Console) -> _Measured:
     err.print(f"warming up, then {seconds:g} s of {graph.name} in real time ...")
     run_graph(graph, catalog, duration_s=min(WARM_UP_S, seconds))
     with Progress(graph.topology, err) as progress:
-        return run_graph(graph, catalog, duration_s=seconds, progress=progress)
+        result = run_graph(graph, catalog, duration_s=seconds, progress=progress)
+    costs = CostTable()
+    costs.add(graph, result.report)
+    return _Measured(costs, profile_page(graph, result.report), [], list(result.failures))
 
 
 def _sweep(
-    graph: Graph,
-    catalog: Catalog,
-    every: Sequence[Point],
-    seconds: float,
-    table: CostTable,
-    err: Console,
-) -> list[dict[str, Any]]:
+    graph: Graph, catalog: Catalog, every: Sequence[Point], seconds: float, err: Console
+) -> _Measured:
+    """A sweep has failed where none of its points is measured."""
     runs = sum(point.why_not is None for point in every)
     minutes = (runs * (seconds + OPENING_S) + WARM_UP_S + OPENING_S) / 60
     err.print(f"{runs} runs of {seconds:g} s, at most: about {minutes:.1f} min; warming up ...")
     run_graph(graph, catalog, duration_s=WARM_UP_S)
     say: Callable[[str], None] = err.print
+    costs = CostTable()
 
     def done(point: Point, result: RunResult) -> None:
-        table.add(point.graph, result.report)
+        costs.add(point.graph, result.report)
 
-    return list(run_points(every, catalog, seconds, say, done))
+    swept = list(run_points(every, catalog, seconds, say, done))
+    failures = [f"{point['variant']}: {point['failed']}" for point in swept if point["failed"]]
+    return _Measured(costs, None, swept, failures if len(failures) == len(swept) else [])
