@@ -1,6 +1,6 @@
 """What happens to messages: ports, bounds, edges, trigger queues, select groups and sync slots.
 
-Sections 1 to 5 of README.md in this folder; `Scheduler` adds what is started, and how it ends.
+Sections 1 to 5 of README.md in this folder; `Runs` and `Scheduler` build on it.
 """
 
 from __future__ import annotations
@@ -39,6 +39,10 @@ class Streams:
         self._said: dict[str, int] = {}  #: by sender: the bound that was told
         self._took: list[Notice] = []
 
+    def _event(self, kind: str, subject: str, text: str) -> None:
+        """Tell of something that people should know."""
+        self._observer.event(kind, subject, text, self._now)
+
     # ------------------------------------------------------------------ messages
 
     def _send(self, output: OutputPort, message: Message[Any]) -> None:
@@ -73,7 +77,7 @@ class Streams:
             self._mark(stage)
         if was_stale and not slot.stale:
             text = "messages arrive in time again"
-            self._observer.event("recovered", edge.name, text, self._now)
+            self._event("recovered", edge.name, text)
 
     def _arrive(self, edge: Edge, message: Message[Any]) -> None:
         """A trigger arrives at its stage: into its queue, or its group's undecided frame."""
@@ -138,7 +142,7 @@ class Streams:
         missed = (Reason.REPLACED, Reason.TOO_OLD, Reason.DECIMATED)
         if entry.verdict is Verdict.MUST and reason in missed:
             text = f"the frame at stamp {entry.stamp} was wanted and ended {reason}"
-            self._observer.event("wish_missed", stage.node.name, text, self._now)
+            self._event("wish_missed", stage.node.name, text)
 
     # ------------------------------------------------------------------ other processes
 
@@ -294,7 +298,7 @@ class Streams:
         for slot in slots:
             name = next(edge.name for edge in stage.synced_edges if edge.slot is slot)
             text = "not in time within max_wait_ms: sets no longer wait for it, until it is again"
-            self._observer.event("stale", name, text, self._now)
+            self._event("stale", name, text)
 
     def _trigger_lost(self, stage: StageState, entry: WaitingSet, reason: Reason) -> None:
         self._drop_trigger(stage, entry, reason)
