@@ -26,7 +26,7 @@ from pipeline.scheduling.scheduler import Scheduler
 from pipeline.scheduling.topology import Input, Port, StageNode, Topology
 from tools.bench.harness import Effort, Row, interleave, ratio
 from tools.bench.scheduler import FILE
-from tools.recording.record import recording
+from tools.recording.record import RecordOrder, recording
 
 
 def measure(effort: Effort) -> list[Row]:
@@ -73,7 +73,7 @@ def _run(
     with ExitStack() as stack:
         recorder = None
         if recorded:
-            kept = recording(path, graph, offline=False, edges=(), compression="lz4")
+            kept = recording(RecordOrder(path, ()), graph, offline=False)
             recorder = stack.enter_context(kept)
         result = run_graph(graph, catalog, duration_s=seconds, recorder=recorder)
     if result.failures:

@@ -148,7 +148,10 @@ def run(
     --as-recorded.
     """
     factor = parse_speed(speed)
+    from tools.recording.flight_graph import GraphFiles
+    from tools.recording.record import RecordOrder
     from tools.recording.several import flight_files
+    from tools.running.order import RunOrder, TraceOrder
     from tools.running.run import run_file
 
     own = flight is None and bool(flight_files(graph))
@@ -176,26 +179,21 @@ def run(
         )
         _tell(failures)
         return
-    failures = run_file(
-        graph,
+    order = RunOrder(
+        files=GraphFiles(graph, settings or (), overlays or (), models or (), out),
         flight=graph if own else flight,
-        settings=settings or (),
-        overlays=overlays or (),
-        models=models or (),
         speed=factor,
         duration_s=duration,
-        out=out,
         report=report,
-        trace=trace,
-        trace_entries=trace_entries,
-        record=record,
-        record_edges=record_edges or (),
-        record_compression=record_compression.value,
+        trace=None if trace is None else TraceOrder(trace, trace_entries),
+        record=None
+        if record is None
+        else RecordOrder(record, record_edges or (), record_compression.value),
         host=host,
         as_json=as_json,
         quiet=quiet,
     )
-    _tell(failures)
+    _tell(run_file(order))
 
 
 def _tell(failures: Sequence[str]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from difflib import get_close_matches
 from pathlib import Path
@@ -28,25 +29,28 @@ from tools.versions import versions
 SOURCES, ALL = "sources", "all"
 
 
+@dataclass(frozen=True, slots=True)
+class RecordOrder:
+    """A recording of a run, as a person asks for it."""
+
+    path: Path
+    edges: Sequence[str]  #: whose messages are written; none: those of the sources
+    compression: Compression = "lz4"
+
+
 @contextmanager
 def recording(
-    path: Path,
-    graph: Graph,
-    *,
-    offline: bool,
-    edges: Sequence[str],
-    compression: Compression,
-    process: str = "",
+    order: RecordOrder, graph: Graph, *, offline: bool, process: str = ""
 ) -> Iterator[Recorder]:
-    """A recorder for one run of a graph, or of the part of a `process`, which writes to `path`."""
-    stored = chosen(graph, edges or (SOURCES,))
+    """A recorder for one run of a graph, or of the part of a `process`."""
+    stored = chosen(graph, order.edges or (SOURCES,))
     recorder = Recorder(
-        path,
+        order.path,
         manifest_of(graph, offline=offline, process=process),
         PayloadCodecs(),
         stored=stored,
         sources=_sources(graph),
-        compression=compression,
+        compression=order.compression,
     )
     with recorder:
         calibration = _calibration(graph)

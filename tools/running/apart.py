@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +10,8 @@ import typer
 
 from pipeline.graph.graph import Graph
 from pipeline.graph.placing import HERE
-from pipeline.recording.mcap import Compression
 from tools.recording.flight_graph import GraphFiles
-from tools.recording.record import SOURCES, chosen
+from tools.recording.record import SOURCES, RecordOrder, chosen
 
 
 def runs_apart(graph: Graph, host: str | None, *, alone: bool) -> bool:
@@ -50,12 +49,10 @@ def opening(
     }
 
 
-def record_asked(
-    graph: Graph, path: Path, edges: Sequence[str], compression: Compression
-) -> dict[str, Any]:
+def record_asked(graph: Graph, order: RecordOrder) -> dict[str, Any]:
     """What `opening` says of a recording. Raises BadParameter for an edge that is none."""
-    ports = map(str, chosen(graph, edges or (SOURCES,)))
-    return {"path": str(path), "edges": sorted(ports), "compression": compression}
+    ports = map(str, chosen(graph, order.edges or (SOURCES,)))
+    return {"path": str(order.path), "edges": sorted(ports), "compression": order.compression}
 
 
 def recorded(path: Path, process: str) -> Path:

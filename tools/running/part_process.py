@@ -48,21 +48,16 @@ def record(header: Mapping[str, Any], graph: Graph) -> Iterator[Recorder | None]
         return
     from pipeline.graph.run_folder import run_folder
     from pipeline.recording.left_behind import keep
-    from tools.recording.record import SOURCES, recording
+    from tools.recording.record import SOURCES, RecordOrder, recording
     from tools.running.apart import recorded
 
     own = {f"{node.name}/{name}" for node in graph.topology.stages for name in node.outputs}
     path = recorded(Path(asked["path"]), header["process"])
     if header["life"] > 1:
         path = recorded(path, str(header["life"]))
-    with recording(
-        path,
-        graph,
-        offline=False,
-        edges=(SOURCES, *(edge for edge in asked["edges"] if edge in own)),
-        compression=asked["compression"],
-        process=header["process"],
-    ) as recorder:
+    edges = (SOURCES, *(edge for edge in asked["edges"] if edge in own))
+    order = RecordOrder(path, edges, asked["compression"])
+    with recording(order, graph, offline=False, process=header["process"]) as recorder:
         if header["life"] > 1 and graph.written is not None:
             keep(recorder.file, run_folder(graph.written.out))
         yield recorder

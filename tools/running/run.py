@@ -6,21 +6,24 @@ import contextlib
 import os
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import typer
 from rich.console import Console
 
-from pipeline.drivers.run import run_graph
+from pipeline.drivers.run import RunResult, run_graph
+from pipeline.graph.graph import Graph
 from pipeline.measuring.board import Board
 from pipeline.measuring.expectations import failed, verdicts
-from pipeline.measuring.trace import CAPACITY
+from pipeline.measuring.trace import Trace
 from pipeline.processes.supervisor import Supervisor
-from pipeline.recording.mcap import Compression
-from tools.recording.flight_graph import GraphFiles, on_flight
+from tools.recording.flight_graph import on_flight
 from tools.recording.record import recording
 from tools.recording.several import flight_files, process_files
 from tools.running.apart import opening, record_asked, runs_apart
+from tools.running.order import RunOrder
 from tools.running.part_process import MODULE
 from tools.running.telling import Told
 from tools.running.tracing import Tracing
@@ -28,101 +31,120 @@ from tools.validate import print_warnings
 from tools.watching.progress import Progress
 
 
-def run_file(
-    path: Path,
-    *,
-    flight: Path | None = None,
-    settings: Sequence[str] = (),
-    overlays: Sequence[Path] = (),
-    models: Sequence[Path] = (),
-    speed: float | None = 1.0,
-    duration_s: float | None = None,
-    out: Path = Path("out"),
-    report: Path | None = None,
-    trace: Path | None = None,
-    trace_entries: int = CAPACITY,
-    record: Path | None = None,
-    record_edges: Sequence[str] = (),
-    record_compression: Compression = "lz4",
-    host: str | None = None,
-    as_json: bool = False,
-    quiet: bool = False,
-) -> Sequence[str]:
+def run_file(order: RunOrder) -> Sequence[str]:
     """Run it, tell of it, and return what failed or is not as the file expects (empty: all well).
 
-    With a `flight` its messages take the place of the sources; where that is `path` itself, the
-    graph is the flight's own.
     Progress and warnings go to stderr; the table, or with `as_json` the report, to stdout.
     """
-    given = GraphFiles(path, settings, overlays, models, out)
-    graph, catalog = given.open() if flight is None else on_flight(given, flight)
-    if not quiet:
+    if order.flight is None:
+        graph, catalog = order.files.open()
+    else:
+        graph, catalog = on_flight(order.files, order.flight)
+    if not order.quiet:
         print_warnings(graph.warnings)
-    for file, what in ((report, "report"), (trace, "trace"), (record, "recording")):
-        if file is not None:
-            make_room_for(file, what)
-    apart = runs_apart(graph, host, alone=speed is None or flight is not None)
+    for file, what in _asked_files(order):
+        make_room_for(file, what)
+    apart = runs_apart(graph, order.host, alone=order.speed is None or order.flight is not None)
     started = time.time()
-    tracing = None
-    if trace is not None:
-        tracing = Tracing(trace, trace_entries, graph, apart=apart, quiet=quiet)
-    own_trace = None if tracing is None else tracing.own
     with contextlib.ExitStack() as stack:
-        if tracing is not None:
+        tracing = None
+        if (asked := order.trace) is not None:
+            tracing = Tracing(asked.path, asked.entries, graph, apart=apart, quiet=order.quiet)
             stack.enter_context(tracing)
-        progress = Progress(graph.topology, Console(stderr=True))
         recorder = None
-        if record is not None and not apart:
-            kept = recording(
-                record,
-                graph,
-                offline=speed is None,
-                edges=record_edges,
-                compression=record_compression,
-            )
+        if order.record is not None and not apart:
+            kept = recording(order.record, graph, offline=order.speed is None)
             recorder = stack.enter_context(kept)
-        show = None if quiet else stack.enter_context(progress)
-        board = _open_board(stack)
+        watching = _Watching.of(graph, order, tracing, stack)
         if apart:
-            assert speed is not None
-            asked = None
-            if record is not None:
-                asked = record_asked(graph, record, record_edges, record_compression)
-            supervisor = Supervisor(
-                graph,
-                MODULE,
-                opening(given, asked, None if tracing is None else tracing.asked),
-                speed=speed,
-                host=host,
-                board=board,
-                progress=show,
-                trace=own_trace,
-            )
-            result = supervisor.run(duration_s)
+            result = _run_apart(graph, order, watching)
         else:
             result = run_graph(
                 graph,
                 catalog,
-                speed=speed,
-                duration_s=duration_s,
-                progress=show,
-                trace=own_trace,
-                board=board,
+                speed=order.speed,
+                duration_s=order.duration_s,
+                progress=watching.progress,
+                trace=watching.trace,
+                board=watching.board,
                 recorder=recorder,
             )
-    told = Told(result, verdicts(graph.expect, result.report), as_json=as_json, quiet=quiet)
+    told = Told(
+        result, verdicts(graph.expect, result.report), as_json=order.as_json, quiet=order.quiet
+    )
     told.defects()
-    unwritten = [told.write(report) if report is not None else None]
-    files = [file for file in (report, trace) if file is not None and file.exists()]
-    if record is not None:
-        written = process_files(record) if apart else flight_files(record)
-        files += (file for file in written if _is_of(file, started))
-    told.tables([*_written(out, started), *files])
+    unwritten = [told.write(order.report) if order.report is not None else None]
+    told.tables([*_written(order.files.out, started), *_made(order, started, apart=apart)])
     if tracing is not None:
         unwritten.append(tracing.failure)
-        if not (as_json or quiet or tracing.failure):
+        if not (order.as_json or order.quiet or tracing.failure):
             Console().print(tracing.told(), highlight=False, soft_wrap=True)
     return (*result.failures, *failed(told.judged), *filter(None, unwritten))
+
+
+@dataclass(frozen=True, slots=True)
+class _Watching:
+    """Who looks on while a run goes on."""
+
+    progress: Progress | None
+    board: Board | None
+    tracing: Tracing | None
+
+    @classmethod
+    def of(
+        cls,
+        graph: Graph,
+        order: RunOrder,
+        tracing: Tracing | None,
+        stack: contextlib.ExitStack,
+    ) -> Self:
+        progress = None
+        if not order.quiet:
+            progress = stack.enter_context(Progress(graph.topology, Console(stderr=True)))
+        return cls(progress, _open_board(stack), tracing)
+
+    @property
+    def trace(self) -> Trace | None:
+        """Of this process."""
+        return None if self.tracing is None else self.tracing.own
+
+
+def _run_apart(graph: Graph, order: RunOrder, watching: _Watching) -> RunResult:
+    """In the processes that the graph names, each a child of this one."""
+    assert order.speed is not None
+    record = None if order.record is None else record_asked(graph, order.record)
+    trace = None if watching.tracing is None else watching.tracing.asked
+    supervisor = Supervisor(
+        graph,
+        MODULE,
+        opening(order.files, record, trace),
+        speed=order.speed,
+        host=order.host,
+        board=watching.board,
+        progress=watching.progress,
+        trace=watching.trace,
+    )
+    return supervisor.run(order.duration_s)
+
+
+def _asked_files(order: RunOrder) -> Iterator[tuple[Path, str]]:
+    """The files that a run is asked for, with what to call them."""
+    if order.report is not None:
+        yield order.report, "report"
+    if order.trace is not None:
+        yield order.trace.path, "trace"
+    if order.record is not None:
+        yield order.record.path, "recording"
+
+
+def _made(order: RunOrder, since: float, *, apart: bool) -> Iterator[Path]:
+    """Those of them that are there; of a recording in several files, those of this run."""
+    for file, what in _asked_files(order):
+        if what == "recording":
+            files = process_files(file) if apart else flight_files(file)
+            yield from (one for one in files if _is_of(one, since))
+        elif file.exists():
+            yield file
 
 
 def make_room_for(file: Path, what: str = "report") -> None:
