@@ -112,6 +112,11 @@ class Source(Stage):
         """Nominal rate and delay where they are known before the run."""
         return None
 
+    def last_arrival(self) -> int | None:
+        """When its last message arrives, where that is known once it is open: a recording's end.
+        People are told by it how far a run has come; nothing else depends on it."""
+        return None
+
 
 def ports(cls: C) -> C:
     """Mark a frozen dataclass as a set of output ports: one per field, None = nothing on it."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.clock import Clock, ManualClock, ScaledClock
 from pipeline.drivers.beginning import first_arrivals, from_now_on
+from pipeline.drivers.course import Course
 from pipeline.drivers.devices import Devices
 from pipeline.drivers.executor import Executor, Worker
 from pipeline.drivers.faulty import Sampled, with_faults
@@ -158,6 +159,7 @@ class _Run:
         """Run to the end; the recorder writes meanwhile, and until the stack is left."""
         if self._speed is not None:
             freeze()
+        self._course = Course(self._opened_sources(), duration_s, self._no_end_known)
         self._started = time.monotonic_ns()
         self._profiler.start(self._graph.devices)
         if self._recorder is not None:
@@ -218,13 +220,17 @@ class _Run:
     def _sources(self) -> tuple[dict[str, Iterator[Message[Any]]], int | None]:
         """The messages of each source, and when the first arrives, where that matters."""
         sources: dict[str, Iterator[Message[Any]]] = {
-            name: stage.messages()
-            for name, stage in self._stages.items()
-            if isinstance(stage, Source)
+            name: source.messages() for name, source in self._opened_sources().items()
         }
         if self._speed is None and not self._graph.faults.sources:
             return sources, None
         return first_arrivals(sources)
+
+    def _opened_sources(self) -> dict[str, Source]:
+        return {name: one for name, one in self._stages.items() if isinstance(one, Source)}
+
+    def _no_end_known(self, source: str, text: str) -> None:
+        self.statistics.event("no_end_known", source, text, self._began)
 
     def _tell_what_needs_processes(self) -> None:
         for name in self._graph.faults.between_processes:
@@ -275,7 +281,8 @@ class _Run:
     def _tick(self) -> None:
         if self._progress is not None:
             elapsed = time.monotonic_ns() - self._started
-            self._progress(snapshot(self._graph, self.statistics, elapsed))
+            done = self._course.done(self._clock.now())
+            self._progress(snapshot(self._graph, self.statistics, elapsed, done))
         if self._status is not None:
             self._status.tick()
 

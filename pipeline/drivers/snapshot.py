@@ -25,13 +25,14 @@ class OutputSnapshot:
 class Snapshot:
     """The run as it stands."""
 
-    elapsed_s: float
+    elapsed_s: float  #: of wall time
     outputs: Mapping[str, OutputSnapshot]
     dropped: int  #: messages lost, without those that no set needed and that rate_hz leaves out
     events: Sequence[Event]  #: everything that a person should know, so far; grows
+    done: float | None = None  #: how far it has come, 0 to 1, where its end is known
 
 
-def snapshot(graph: Graph, statistics: Statistics, elapsed_ns: int) -> Snapshot:
+def snapshot(graph: Graph, statistics: Statistics, elapsed_ns: int, done: float | None) -> Snapshot:
     """What the books of a run say after so long."""
     outputs: dict[str, OutputSnapshot] = {}
     for node in graph.topology.stages:
@@ -49,4 +50,5 @@ def snapshot(graph: Graph, statistics: Statistics, elapsed_ns: int) -> Snapshot:
         outputs,
         sum(statistics.drops[reason] for reason in LOSSES),
         statistics.events,
+        done,
     )

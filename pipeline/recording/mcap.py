@@ -215,6 +215,21 @@ class McapReader:
             for channel in summary.channels.values()
         }
 
+    def last_time(self, topic: str) -> int | None:
+        """The time until which the file has messages of a topic, to a chunk; None without one, or
+        where the file was cut short and must be read to know."""
+        if not self.is_whole():
+            return None
+        with self._open() as file:
+            summary = self._summary(file)
+        numbers = {one.id for one in summary.channels.values() if one.topic == topic}
+        ends = (
+            chunk.message_end_time
+            for chunk in summary.chunk_indexes
+            if numbers & chunk.message_index_offsets.keys()
+        )
+        return max(ends, default=None)
+
     def notes(self) -> dict[str, dict[str, str]]:
         """The records of text values, by name; of a file that was cut short those that it has."""
         if not self.is_whole():

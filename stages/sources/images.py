@@ -47,5 +47,8 @@ class ImageFolder(Source):
             image = Image(read_picture(self._files[frame]), self.camera)
             yield Message.at(stamp, image, received=self._stamps.arrival(stamp))
 
+    def last_arrival(self) -> int:
+        return self._stamps.last_arrival(range(len(self._files)))
+
     def timing(self) -> Timing:
         return self._stamps.timing()

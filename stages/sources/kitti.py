@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import ClassVar
 
 from pipeline.errors import DataError
 from pipeline.message import Message
@@ -27,6 +28,8 @@ def calibration(*, path: Path) -> Calibration:
 
 class _Kitti(Source):
     """What the three have in common. `start` and `stop` count frames; `stop` itself is left out."""
+
+    what: ClassVar[str]
 
     def __init__(
         self,
@@ -53,24 +56,39 @@ class _Kitti(Source):
     def open(self) -> None:
         self._drive: Drive = open_drive(self.path)
 
-    def _frames(self, present: Iterable[int], what: str) -> Iterator[tuple[int, int]]:
+    def last_arrival(self) -> int:
+        return self._stamps.last_arrival(self._asked_for())
+
+    def _frames(self) -> Iterator[tuple[int, int]]:
         """(frame, stamp) of the frames asked for."""
+        return self._stamps.of(self._asked_for())
+
+    def _asked_for(self) -> list[int]:
         frames = [
             frame
-            for frame in sorted(present)
+            for frame in sorted(self._present())
             if frame >= self.start and (self.stop is None or frame < self.stop)
         ]
         if not frames:
-            raise DataError(f"{self.path}: has no {what} in the frames asked for")
-        return self._stamps.of(frames)
+            raise DataError(f"{self.path}: has no {self.what} in the frames asked for")
+        return frames
+
+    def _present(self) -> Iterable[int]:
+        """The frames that the drive has."""
+        raise NotImplementedError
 
 
 class KittiImages(_Kitti):
     """The camera's images."""
 
+    what = "images"
+
+    def _present(self) -> Iterable[int]:
+        return self._drive.images
+
     def messages(self) -> Iterator[Message[Image]]:
         files = self._drive.images
-        for frame, stamp in self._frames(files, "images"):
+        for frame, stamp in self._frames():
             image = Image(read_picture(files[frame]), CAMERA)
             yield Message.at(stamp, image, received=self._stamps.arrival(stamp))
 
@@ -78,9 +96,14 @@ class KittiImages(_Kitti):
 class KittiScans(_Kitti):
     """The LiDAR's scans, as snapshots: the points carry no times of their own."""
 
+    what = "scans"
+
+    def _present(self) -> Iterable[int]:
+        return self._drive.scans
+
     def messages(self) -> Iterator[Message[Scan]]:
         files = self._drive.scans
-        for frame, stamp in self._frames(files, "scans"):
+        for frame, stamp in self._frames():
             points, remission = self._drive.read_scan(files[frame])
             scan = Scan(points, remission, times_ns=None, shape=None, sensor=LIDAR)
             yield Message.at(stamp, scan, received=self._stamps.arrival(stamp))
@@ -89,7 +112,15 @@ class KittiScans(_Kitti):
 class KittiPoses(_Kitti):
     """The odometry's poses of the LiDAR, one per scan."""
 
+    what = "poses"
+
+    def open(self) -> None:
+        super().open()
+        self._poses = self._drive.read_poses()
+
+    def _present(self) -> Iterable[int]:
+        return range(len(self._poses))
+
     def messages(self) -> Iterator[Message[Pose]]:
-        poses = self._drive.read_poses()
-        for frame, stamp in self._frames(range(len(poses)), "poses"):
-            yield Message.at(stamp, Pose(poses[frame]), received=self._stamps.arrival(stamp))
+        for frame, stamp in self._frames():
+            yield Message.at(stamp, Pose(self._poses[frame]), received=self._stamps.arrival(stamp))

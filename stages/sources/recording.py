@@ -48,6 +48,9 @@ class Recording(Source):
             )
         self._codec = codec
 
+    def last_arrival(self) -> int | None:
+        return McapReader(self.path).last_time(self.topic)
+
     def messages(self) -> Iterator[Message[Any]]:
         for record in McapReader(self.path).records([self.topic]):
             try:

@@ -51,6 +51,10 @@ class Stamps:
         due = stamp + round(self.delay_ms * MS)
         return due if end is None else max(due, end)
 
+    def last_arrival(self, frames: Iterable[int]) -> int:
+        """When the last of some frames, of which there is one, arrives."""
+        return max(self.arrival(stamp) for _, stamp in self.of(frames))
+
     def timing(self) -> Timing:
         """What validation may count on."""
         return Timing(self.rate_hz, self.delay_ms, self.jitter_ms, self.offset_ms)

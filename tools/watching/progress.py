@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 #: Between two plain lines: a log of an hour's flight stays readable.
 PLAIN_PERIOD_S = 5.0
 
+#: What is left is told from this share of a run on: before it the first messages weigh too much.
+FORESEEN_FROM = 0.03
+
 #: Until the first message; loading models and compiling kernels is what takes the time.
 OPENING = "opening devices, models and stages (the first run compiles kernels, up to a minute) ..."
 
@@ -35,8 +38,8 @@ def end_ports(topology: Topology) -> tuple[str, ...]:
 
 
 def progress_line(snapshot: Snapshot, ends: tuple[str, ...]) -> str:
-    """``12.3 s   semantic_map 9.9 Hz, 142 ms old   fuse_image 14.1 Hz, 95 ms old   31 dropped``"""
-    parts = [f"{snapshot.elapsed_s:6.1f} s"]
+    """``12.3 s   41 %, 18 s left   semantic_map 9.9 Hz, 142 ms old   31 dropped``"""
+    parts = [f"{snapshot.elapsed_s:6.1f} s", *_how_far(snapshot)]
     for port in ends:
         output = snapshot.outputs[port]
         part = f"{port.removesuffix('/out')} "
@@ -47,6 +50,18 @@ def progress_line(snapshot: Snapshot, ends: tuple[str, ...]) -> str:
         parts.append(part)
     parts.append(f"{snapshot.dropped} dropped")
     return "   ".join(parts)
+
+
+def _how_far(snapshot: Snapshot) -> list[str]:
+    """Where the end is known: the share that is behind, and, after its first part, what is left."""
+    if snapshot.done is None:
+        return []
+    told = f"{snapshot.done:.0%}".replace("%", " %")
+    if snapshot.done < FORESEEN_FROM:
+        return [told]
+    left_s = snapshot.elapsed_s * (1 / snapshot.done - 1)
+    left = f"{left_s:.0f} s" if left_s < 100 else f"{left_s / 60:.0f} min"
+    return [f"{told}, {left} left"]
 
 
 class Progress:

@@ -41,6 +41,16 @@ def test_a_source_gives_the_recorded_messages(flight: Path) -> None:
     assert all(isinstance(message.payload, Pose) for message in messages)
 
 
+def test_a_recording_knows_when_it_ends_and_one_that_was_cut_short_does_not(flight: Path) -> None:
+    source = Recording(path=flight, topic="pose")
+    source.open()
+    last = source.last_arrival()
+    assert last is not None
+    assert 44 <= last <= 60  # to the chunk, which holds a line of the log as well
+    flight.write_bytes(flight.read_bytes()[:-20])
+    assert source.last_arrival() is None
+
+
 @pytest.mark.parametrize(
     ("topic", "told"),
     [("pos", "did you mean 'pose'"), ("thermal", "it has"), ("log", "no payload of a stage")],

@@ -18,11 +18,13 @@ TOPOLOGY = Topology(
 )
 
 
-def snapshot(elapsed_s: float, *events: Any) -> Any:
+def snapshot(elapsed_s: float, *events: Any, done: float | None = None) -> Any:
     output = SimpleNamespace(count=120, rate_hz=9.94, age_ms=141.6)
     quiet = SimpleNamespace(count=0, rate_hz=None, age_ms=None)
     outputs = {"camera/out": output, "detect/out": output, "detect/debug": quiet}
-    return SimpleNamespace(elapsed_s=elapsed_s, outputs=outputs, dropped=31, events=events)
+    return SimpleNamespace(
+        elapsed_s=elapsed_s, outputs=outputs, dropped=31, events=events, done=done
+    )
 
 
 def console(terminal: bool) -> Console:
@@ -41,6 +43,19 @@ def test_the_ends_are_the_ports_that_only_sinks_or_nobody_read() -> None:
 def test_the_line_tells_time_rate_age_and_drops() -> None:
     line = progress_line(snapshot(12.3), end_ports(TOPOLOGY))
     assert line == "  12.3 s   detect 9.9 Hz, 142 ms old   detect/debug 0 messages   31 dropped"
+
+
+def test_where_the_end_is_known_the_line_tells_how_far_it_is() -> None:
+    told = [
+        progress_line(snapshot(elapsed_s, done=done), ()).split("   31 dropped")[0].strip()
+        for elapsed_s, done in ((0.4, 0.01), (20.0, 0.25), (60.0, 0.1), (80.0, 1.0))
+    ]
+    assert told == [
+        "0.4 s   1 %",
+        "20.0 s   25 %, 60 s left",
+        "60.0 s   10 %, 9 min left",
+        "80.0 s   100 %, 0 s left",
+    ]
 
 
 def test_without_a_terminal_a_plain_line_comes_every_few_seconds() -> None:
