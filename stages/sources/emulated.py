@@ -59,6 +59,9 @@ class _Emulated(Source):
     def timing(self) -> Timing:
         return self._stamps.timing()
 
+    def last_arrival(self) -> int | None:
+        return self._stamps.last_arrival(range(self.count)) if self.count else None
+
     def _frames(self) -> Iterator[tuple[int, int]]:
         return self._stamps.of(counted_from() if self.count is None else range(self.count))
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from tools.train.plan import Order
-    from tools.train.recipes import DetectorRecipe
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -133,93 +132,67 @@ Width = Annotated[
 ]
 
 
-@app.command(
-    epilog=examples(
-        "overflight train detect-thermal --data thermal_frames --license 'CC BY 4.0' -o "
-        "out/thermal",
-        "overflight train detect-thermal --data my_frames --from detect-thermal -o out/mine",
-        "overflight run graph.yaml --models out/thermal/models.yaml",
-    )
-)
-def detect_thermal(
-    data: Data,
-    output: Output = Path("out/detect-thermal"),
-    steps: Steps = 3600,
-    seed: Seed = 0,
-    backbone: Backbone = BackboneName.RESIDUAL,
-    head: Head = HeadName.CENTERNET,
-    threads: Threads = 1,
-    license: License = "not stated",
-    attribution: Attribution = "not stated",
-    judge: JudgedOn = None,
-    start: Start = None,
-    zoom: Zoom = None,
-    restart: Restart = False,
-    as_it_is: AsItIs = False,
+def _detector_command(
+    name: str, told: str, steps: int, license: str, attribution: str, *lines: str
 ) -> None:
-    """Train the thermal detector: persons, vehicles and bicycles at 640 x 512, one channel."""
-    _need_torch()
-    from tools.train.recipes import DETECT_THERMAL
+    """The command of one detector; they differ in what is `told` of them and their defaults."""
 
-    words = _detector_words(backbone, head, zoom)
-    order = _order(
-        "detect-thermal",
-        data,
-        output,
-        steps,
-        seed,
-        threads,
-        license,
-        attribution,
-        words,
-        judge,
-        start=start,
-        restart=restart,
-        as_it_is=as_it_is,
-    )
-    _detector(DETECT_THERMAL, order, backbone, head, zoom)
+    def train(
+        data: Data,
+        output: Output = Path(f"out/{name}"),
+        steps: Steps = steps,
+        seed: Seed = 0,
+        backbone: Backbone = BackboneName.RESIDUAL,
+        head: Head = HeadName.CENTERNET,
+        threads: Threads = 1,
+        license: License = license,
+        attribution: Attribution = attribution,
+        judge: JudgedOn = None,
+        start: Start = None,
+        zoom: Zoom = None,
+        restart: Restart = False,
+        as_it_is: AsItIs = False,
+    ) -> None:
+        _need_torch()
+        words = _detector_words(backbone, head, zoom)
+        order = _order(
+            name,
+            data,
+            output,
+            steps,
+            seed,
+            threads,
+            license,
+            attribution,
+            words,
+            judge,
+            start=start,
+            restart=restart,
+            as_it_is=as_it_is,
+        )
+        _detector(name, order, backbone, head, zoom)
+
+    app.command(name, help=told, epilog=examples(*lines))(train)
 
 
-@app.command(
-    epilog=examples("overflight train detect-rgb --data city101.mcap --steps 3000 -o out/rgb")
+_detector_command(
+    "detect-thermal",
+    "Train the thermal detector: persons, vehicles and bicycles at 640 x 512, one channel.",
+    3600,
+    "not stated",
+    "not stated",
+    "overflight train detect-thermal --data thermal_frames --license 'CC BY 4.0' -o out/thermal",
+    "overflight train detect-thermal --data my_frames --from detect-thermal -o out/mine",
+    "overflight run graph.yaml --models out/thermal/models.yaml",
 )
-def detect_rgb(
-    data: Data,
-    output: Output = Path("out/detect-rgb"),
-    steps: Steps = 3000,
-    seed: Seed = 0,
-    backbone: Backbone = BackboneName.RESIDUAL,
-    head: Head = HeadName.CENTERNET,
-    threads: Threads = 1,
-    license: License = "Apache-2.0",
-    attribution: Attribution = SIMULATED,
-    judge: JudgedOn = None,
-    start: Start = None,
-    zoom: Zoom = None,
-    restart: Restart = False,
-    as_it_is: AsItIs = False,
-) -> None:
-    """Train the color detector: persons, vehicles and bicycles at 848 x 480."""
-    _need_torch()
-    from tools.train.recipes import DETECT_RGB
-
-    words = _detector_words(backbone, head, zoom)
-    order = _order(
-        "detect-rgb",
-        data,
-        output,
-        steps,
-        seed,
-        threads,
-        license,
-        attribution,
-        words,
-        judge,
-        start=start,
-        restart=restart,
-        as_it_is=as_it_is,
-    )
-    _detector(DETECT_RGB, order, backbone, head, zoom)
+_detector_command(
+    "detect-rgb",
+    "Train the color detector: persons, vehicles and bicycles at 848 x 480.",
+    3000,
+    "Apache-2.0",
+    SIMULATED,
+    "overflight train detect-rgb --data city101.mcap --steps 3000 -o out/rgb",
+)
 
 
 @app.command(
@@ -439,14 +412,16 @@ def _detector_words(
 
 
 def _detector(
-    recipe: DetectorRecipe,
+    name: str,
     order: Order,
     backbone: BackboneName,
     head: HeadName,
     zoom: tuple[float, float] | None,
 ) -> None:
     from tools.train.detect import train_detector
+    from tools.train.recipes import DETECTORS
 
+    recipe = DETECTORS[name]
     if zoom is not None:
         if not 0.5 <= zoom[0] <= zoom[1] <= 8:
             raise typer.BadParameter("rises, from 0.5 on and up to 8", param_hint="--zoom")

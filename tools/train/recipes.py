@@ -68,3 +68,6 @@ DETECT_RGB = DetectorRecipe(
     batch_size=6,
     slim=True,  # as segment-rgb's, with whose weights it can begin
 )
+
+#: By name.
+DETECTORS = {recipe.name: recipe for recipe in (DETECT_THERMAL, DETECT_RGB)}
