@@ -99,6 +99,11 @@ class PayloadCodecs:
         self._plain = {class_name(payload): payload for payload in (*PLAIN, *payloads)}
         self._made: dict[type, Codec] = {}
 
+    @staticmethod
+    def known(payload: type) -> bool:
+        """Whether it is read without being named."""
+        return payload in LOSSLESS or payload in PLAIN
+
     def writing(self, payload: object) -> Codec:
         kind = type(payload)
         return LOSSLESS[kind] if kind in LOSSLESS else self._of(kind)

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from dataclasses import is_dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import DataError
+from pipeline.graph.options import import_name
 from pipeline.message import Message
+from pipeline.recording.codec import PAYLOAD_CLASS
 from pipeline.recording.foxglove import schema
 from pipeline.recording.mcap import McapReader, McapWriter
 from pipeline.stage import Source
 from stages.codecs.poses import decode_calibration, encode_camera, encode_mounts
-from stages.codecs.registry import codec_for
+from stages.codecs.registry import PayloadCodecs
 from stages.types import Calibration
 
 #: Topics that hold the calibration: the fixed transforms, and one per camera.
@@ -29,10 +32,12 @@ class Recording(Source):
     up to its last whole chunk.
     """
 
-    def __init__(self, *, path: Path, topic: str) -> None:
-        """`path`: the MCAP file. `topic`: its name in the file."""
+    def __init__(self, *, path: Path, topic: str, payloads: tuple[str, ...] = ()) -> None:
+        """`path`: the MCAP file. `topic`: its name in the file. `payloads`: classes of your own
+        (module:Class) that it may hold; a file alone never decides what is imported."""
         self.path = path
         self.topic = topic
+        self._payloads = [_payload_class(name) for name in payloads]
 
     def open(self) -> None:
         channels = McapReader(self.path).channels()
@@ -40,12 +45,15 @@ class Recording(Source):
             close = get_close_matches(self.topic, channels, n=1)
             hint = f"did you mean '{close[0]}'?" if close else f"it has {', '.join(channels)}"
             raise DataError(f"{self.path}: no topic '{self.topic}'; {hint}")
-        codec = codec_for(channels[self.topic].schema, channels[self.topic].metadata)
+        schema, metadata = channels[self.topic].schema, channels[self.topic].metadata
+        codec = PayloadCodecs(self._payloads).reading(schema, metadata)
         if codec is None:
-            raise DataError(
-                f"{self.path}: topic '{self.topic}' holds {channels[self.topic].schema}, which is "
-                "no payload of a stage"
-            )
+            where = f"{self.path}: topic '{self.topic}' holds"
+            if (named := metadata.get(PAYLOAD_CLASS)) is not None:
+                raise DataError(
+                    f"{where} {named}; say 'payloads: [{named}]' to have it read as that"
+                )
+            raise DataError(f"{where} {schema}, which is no payload of a stage")
         self._codec = codec
 
     def last_arrival(self) -> int | None:
@@ -58,6 +66,17 @@ class Recording(Source):
             except DataError as error:
                 where = f"{self.path}: {self.topic}, message {record.seq}"
                 raise DataError(f"{where}: {error}") from error
+
+
+def _payload_class(name: str) -> type:
+    """Raises ValueError for what is none."""
+    try:
+        found = import_name(name)
+    except ImportError as error:
+        raise ValueError(f"payloads: {error}") from None
+    if not (isinstance(found, type) and is_dataclass(found)):
+        raise ValueError(f"payloads: {name} is no dataclass")
+    return found
 
 
 def write_calibration(file: McapWriter, calibration: Calibration) -> None:

@@ -16,6 +16,7 @@ from pipeline.errors import DataError
 from pipeline.recording.channels import topic_of
 from pipeline.recording.flight import Flight
 from pipeline.scheduling.topology import Port
+from pipeline.transport.schema import class_name
 from stages.codecs.registry import PayloadCodecs
 from tools.load import open_graph
 from tools.recording.several import flight_files, schedules
@@ -87,6 +88,8 @@ def recorded_sources(graph: Graph, flights: Sequence[Flight]) -> list[str]:
             f"{stage}.options.path={json.dumps(str(flight.path.absolute()))}",
             f"{stage}.options.topic={json.dumps(topic_of(port))}",
         ]
+        own = [class_name(kind) for kind in _own_payloads(graph, node.name)]
+        settings += [f"{stage}.options.payloads={json.dumps(own)}"] if own else []
     if missing:
         paths = ", ".join(str(flight.path) for flight in flights)
         has = ", ".join(dict.fromkeys(str(port) for flight in flights for port in flight.channels))
@@ -112,14 +115,17 @@ def _holder(port: Port, flights: Sequence[Flight]) -> Flight | None:
 
 def payload_codecs(graph: Graph) -> PayloadCodecs:
     """The codecs that may read this graph's payloads, its own classes among them."""
-    declared = {
-        kind
-        for stage in graph.stages
-        for port in stage.contract.outputs
-        for kind in port.payload
-        if is_dataclass(kind) and isinstance(kind, type)
-    }
-    return PayloadCodecs(declared)
+    return PayloadCodecs(
+        kind for stage in graph.stages for kind in _own_payloads(graph, stage.name)
+    )
+
+
+def _own_payloads(graph: Graph, stage: str) -> Iterator[type]:
+    """The dataclasses that a stage declares to say, without the project's own."""
+    for port in graph.stage(stage).contract.outputs:
+        for kind in port.payload:
+            if is_dataclass(kind) and isinstance(kind, type) and not PayloadCodecs.known(kind):
+                yield kind
 
 
 def without_faults(graph: Graph) -> list[str]:

@@ -112,6 +112,79 @@ def test_a_flight_feeds_its_own_graph_or_another_at_any_speed(
         assert numbers(flown / out) == numbers(flown / "flown")
 
 
+OWN = """\
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+import numpy as np
+from numpy.typing import NDArray
+from pipeline.message import Message
+from pipeline.stage import Source, Stage
+
+@dataclass(frozen=True)
+class Echoes:
+    '''What a radar hears.'''
+    ranges_m: NDArray[np.float32]
+
+class Radar(Source):
+    '''A radar that hears more every time.'''
+
+    def messages(self) -> Iterator[Message[Echoes]]:
+        for k in range(4):
+            yield Message.at(k * 100_000_000, Echoes(np.arange(k, dtype=np.float32)))
+
+class Write(Stage):
+    '''A file per message.'''
+
+    def __init__(self, *, folder: Path) -> None:
+        self.folder = folder
+
+    def open(self) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def process(self, echoes: Message[Echoes]) -> None:
+        (self.folder / f"{echoes.stamp}.txt").write_text(f"{echoes.payload.ranges_m.sum()}")
+"""
+RADAR = """\
+overflight: 1
+graph: radar
+stages:
+  radar: {use: radar_stages:Radar}
+  write: {use: radar_stages:Write, options: {folder: $out/numbers}, inputs: {echoes: radar}}
+"""
+
+
+def test_a_sensor_of_ones_own_is_replayed_as_the_class_that_the_graph_declares(
+    tmp_path: Path, overflight: Overflight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "radar_stages.py").write_text(OWN)
+    (tmp_path / "radar.yaml").write_text(RADAR)
+    recorded = "stages.sources.recording:Recording, options: {path: r.mcap, topic: radar}"
+    (tmp_path / "file.yaml").write_text(RADAR.replace("radar_stages:Radar", recorded))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    words = ("--speed", "max", "--quiet")
+    done = overflight("run", "radar.yaml", *words, "--record", "r.mcap", "--out", "flown")
+    assert done.code == 0, done.err
+    assert len(numbers(tmp_path / "flown")) == 4
+    done = overflight("run", "radar.yaml", "r.mcap", *words, "--out", "again")
+    assert done.code == 0, done.err
+    assert numbers(tmp_path / "again") == numbers(tmp_path / "flown")
+    # A graph without that source says it itself: what a file names is not imported.
+    done = overflight("run", "file.yaml", *words, "--out", "file")
+    assert done.code == 2
+    assert "say 'payloads: [radar_stages:Echoes]' to have it read as that" in words_of(done.err)
+    for given, code, told in (
+        ("radar_stages:Echoes", 0, ""),
+        ("radar_stages:Echo", 2, "did you mean 'Echoes'"),
+        ("radar_stages:Radar", 2, "is no dataclass"),
+    ):
+        setting = f"stages.radar.options.payloads=[{given}]"
+        done = overflight("run", "file.yaml", *words, "--out", "file", "--set", setting)
+        assert done.code == code, done.err
+        assert told in words_of(done.err)
+    assert numbers(tmp_path / "file") == numbers(tmp_path / "flown")
+
+
 def test_a_flight_in_several_files_feeds_each_source_from_the_one_that_holds_it(
     flown: Path, overflight: Overflight
 ) -> None:
