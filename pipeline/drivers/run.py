@@ -159,7 +159,8 @@ class _Run:
         """Run to the end; the recorder writes meanwhile, and until the stack is left."""
         if self._speed is not None:
             freeze()
-        self._course = Course(self._opened_sources(), duration_s, self._no_end_known)
+        began = None if self._offline else self._began
+        self._course = Course(self._opened_sources(), began, duration_s, self._no_end_known)
         self._started = time.monotonic_ns()
         self._profiler.start(self._graph.devices)
         if self._recorder is not None:

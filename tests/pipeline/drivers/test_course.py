@@ -38,7 +38,7 @@ def course(sources: Mapping[str, Source], duration_s: float | None = None) -> Co
     def tell(name: str, text: str) -> None:
         pytest.fail(f"{name}: {text}")
 
-    return Course(sources, duration_s, tell)
+    return Course(sources, None, duration_s, tell)
 
 
 @pytest.mark.parametrize(
@@ -66,6 +66,6 @@ def test_a_run_is_as_far_as_the_first_of_its_ends_says(
 
 def test_a_source_that_cannot_say_is_told_of_and_the_run_goes_on() -> None:
     told: list[Any] = []
-    run = Course({"lidar": Broken(None)}, None, lambda *words: told.append(words))
+    run = Course({"lidar": Broken(None)}, 0, None, lambda *words: told.append(words))
     assert told == [("lidar", "cannot say when its last message comes: no index")]
     assert run.done(0) is None
