@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -150,6 +151,15 @@ def evaluate(
         typer.Option(metavar="FOLDER", help="Of --table real: recordings and public networks."),
     ] = Path("../shared"),
     threads: Annotated[int, typer.Option(metavar="N", min=1, help="Of torch, in a --table.")] = 1,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="Of a simulated --table: networks trained at once, each with up to 3 GB.",
+            show_default="one per core, at most 4",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Judge labels, masks or a map against the truth: IoU by class, and a map's sharpness."""
@@ -159,7 +169,8 @@ def evaluate(
 
         if prediction is not None or (table is not None and figure is not None):
             raise typer.BadParameter("a --table judges no PREDICTION; ask for one thing at a time")
-        order = TableOrder(out, seeds, steps, quick, shared, threads)
+        jobs = jobs or max(1, min((os.cpu_count() or 1) // threads, 4))
+        order = TableOrder(out, seeds, steps, quick, shared, threads, jobs)
         if table is not None:
             run_table(table, order, as_json=as_json)
         elif figure is not None:

@@ -36,6 +36,17 @@ RETRAINED = "views-map"
 AGAIN = {"again": "flight_a", "again-disaster": "disaster"}
 
 
+def needs(name: str) -> set[str]:
+    """The networks that must be there before one of `paper.yaml` can be trained."""
+    network = plans().networks[name]
+    found = {network.start} if network.start is not None else set()
+    if Teacher.FUSED_MAP in network.parts:
+        found.add(SOURCE)
+    if AGAIN.keys() & network.parts.keys():
+        found.add(RETRAINED)
+    return found
+
+
 class Networks:
     """Trains what a row asks for; what is there already is opened."""
 
@@ -48,18 +59,31 @@ class Networks:
     def open(self, name: str, seed: int, size: int, normal: str) -> ScanNetwork:
         """The network of `paper.yaml` at an image `size` columns wide, normalized as `source` or
         `adapted`. Raises OverflightError, Interrupted."""
-        registry = self._trained(name, seed)
+        registry = self.trained(name, seed)
         model = "segment-scan" if size == 512 else f"segment-scan-{size}"
         return ScanNetwork.open(registry, normal, self._statistics(), name=model)
 
-    def _trained(self, name: str, seed: int) -> Path:
+    @property
+    def there(self) -> set[tuple[str, int]]:
+        """The name and seed of each network that is trained."""
+        found = (file.parent.name for file in (self._world.folder / "networks").glob("*/done"))
+        return {(name, int(seed)) for name, _, seed in (one.rpartition("-") for one in found)}
+
+    def prepare(self, name: str, seed: int) -> None:
+        """Make what a network learns from: flights, views, labels, and so the networks in them."""
+        self._statistics()
+        self._mixture(name, plans().networks[name], seed)
+
+    def trained(self, name: str, seed: int) -> Path:
+        """The registry of the network, trained where it is not there. Raises OverflightError,
+        `tools.train.loop.Interrupted`."""
         network = plans().networks[name]
         folder = self._world.folder / "networks" / f"{name}-{seed}"
         if (folder / "done").is_file():
             return folder / "models.yaml"
         start = None
         if network.start is not None:
-            start = self._trained(network.start, seed).parent
+            start = self.trained(network.start, seed).parent
         training = Training(
             data=self._mixture(name, network, seed),
             output=folder,

@@ -15,4 +15,5 @@ class TableOrder:
     steps: int | None
     quick: bool
     shared: Path
-    threads: int
+    threads: int  #: of each training
+    jobs: int  #: networks of a simulated table that are trained at once

@@ -52,9 +52,11 @@ def _tables(table: PaperTable, order: TableOrder, console: Console) -> list[Tabl
         if order.steps is not None:
             real = replace(real, steps=order.steps)
         return [real_table(real, console)]
+    from tools.tables.ahead import train_ahead
     from tools.tables.experiment import Experiment
     from tools.tables.simulated import tables_of
 
+    train_ahead(order, table.value, console)
     return tables_of(Experiment.of(order, console), table.value)
 
 

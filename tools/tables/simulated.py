@@ -45,17 +45,22 @@ Judge = Callable[[World, RowPlan, ScanNetwork | None, str], Verdict]
 def tables_of(experiment: Experiment, name: str) -> list[Table]:
     """One table for each judged flight. Raises OverflightError, `tools.train.loop.Interrupted`."""
     plan = plans().tables[name]
-    known = any(row.mean is not None for row in plan.rows.values())
-    verdicts = filled(experiment, plan, judge_row, "" if known else f"{name}-")
-    title = f"Table {name}: {plan.title}" if known else plan.title
+    verdicts = filled(experiment, plan, judge_row, _prefix(name))
+    title = plan.title if _prefix(name) else f"Table {name}: {plan.title}"
     return [
         Table(
             f"{title} ({FLIGHTS[flight]})",
             [_line(row, verdicts[key, flight]) for key, row in plan.rows.items()],
-            (*experiment.conditions(), *([WHY] * known)),
+            (*experiment.conditions(), *([] if _prefix(name) else [WHY])),
         )
         for flight in plan.flights
     ]
+
+
+def _prefix(table: str) -> str:
+    """Of the files of a table's rows: those of the paper's tables are named by themselves."""
+    rows = plans().tables[table].rows.values()
+    return "" if any(row.mean is not None for row in rows) else f"{table}-"
 
 
 def filled(
@@ -70,6 +75,29 @@ def filled(
                 verdict = experiment.rows.filled(f"{prefix}{key}-{flight}", seed, fill)
                 verdicts.setdefault((key, flight), []).append(verdict)
     return verdicts
+
+
+def unfilled(experiment: Experiment, table: str) -> list[tuple[str, int]]:
+    """The networks and seeds whose rows of a table are not all filled."""
+    plan, read = plans().tables[table], experiment.rows.read
+    return list(
+        dict.fromkeys(
+            (row.network, seed)
+            for seed in range(experiment.seeds)
+            for key, row in plan.rows.items()
+            for flight in plan.flights
+            if row.network is not None and read(f"{_prefix(table)}{key}-{flight}", seed) is None
+        )
+    )
+
+
+def fill_rows_of(experiment: Experiment, table: str, network: str, seed: int) -> None:
+    """Fill the rows of a table that judge one network."""
+    plan = plans().tables[table]
+    for key, row in plan.rows.items():
+        for flight in plan.flights if row.network == network else ():
+            fill = _filler(experiment, row, flight, seed, judge_row)
+            experiment.rows.filled(f"{_prefix(table)}{key}-{flight}", seed, fill)
 
 
 def _line(row: RowPlan, verdicts: Sequence[Verdict]) -> Line:
