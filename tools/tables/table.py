@@ -114,8 +114,8 @@ class Table:
 
     def show(self, console: Console) -> None:
         """On a terminal."""
-        shown = RichTable(title=self.title, title_justify="left", box=None)
-        shown.add_column(self.measure)
+        shown = RichTable(title=self.title, title_justify="left", box=None, padding=(0, 1, 0, 0))
+        shown.add_column(self.measure, overflow="fold")
         for name in (*self.classes(), self.value, "spread", *["paper"] * self.of_the_paper):
             shown.add_column(name, justify="right")
         for line in self.lines:
