@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 from accelerators.zeros import Zeros
 from pipeline.model import Model, Native, Probe, TensorSpec
 from stages.emulated_street import lidar_rays, look_along, read_classes
+from stages.kernels.anchors import CODER, SMALL_OBJECTS, multiscale_anchors
 from stages.kernels.compiled import locked
 from stages.taxonomy import load_taxonomy
 
 #: What the detectors know, by their own class ids (`class_map` in the model registry): those that
-#: list detections, and those that mark centers.
+#: list detections, and those that mark centers or move anchors.
 DETECTED = ("vehicle", "person", "bicycle")
 CENTERED = ("person", "vehicle", "bicycle")
 SCORE = 0.9  #: of every box
 LOG_SCORE = 4.0  #: of the class that is there, all others 0: a probability of 0.8 among 15
 _CENTERS = ("heat", "size", "offset")
+_ANCHORED = ("boxes", "scores")
 STEP_PX = 8  #: a detector looks at the middle of squares of this size
 
 
@@ -31,8 +33,9 @@ class StreetNetworks:
     An image is read by its paint: `scores` (1, rows, columns, 16) hold the class in each of their
     cells, `detections` (rows of 7, as OpenVINO's DetectionOutput) a box around each patch of a
     class in `DETECTED`; `heat`, `size` and `offset` mark the center of each in `CENTERED`, as a
-    CenterNet with logarithmic sizes and cells centered at 0.5. A range image gets the classes of
-    the street. Outputs of another name or rank are zero.
+    CenterNet with logarithmic sizes and cells centered at 0.5; `boxes` and `scores` (1, anchors, k)
+    box it, as an SSD with the anchors `SMALL_OBJECTS`. A range image gets the classes of the
+    street. Outputs of another name or shape are zero.
     """
 
     kinds: tuple[str, ...] = ("emulated",)
@@ -67,6 +70,11 @@ class _Network:
         else:
             self._rows = np.arange(STEP_PX // 2, height, STEP_PX)[:, None]
             self._columns = np.arange(STEP_PX // 2, width, STEP_PX)
+        self._anchors: _Anchors | None = None
+        if set(_ANCHORED) <= self.outputs.keys():
+            anchors = multiscale_anchors(*SMALL_OBJECTS, (width, height))
+            if all(self.outputs[name].shape[1] == len(anchors) for name in _ANCHORED):
+                self._anchors = _Anchors(anchors)
         self._scan: Native = {}  #: the answer to a range image, which has no paint
         if channels > 3:
             self._scan = self._answer(look_along(lidar_rays(height, width), np.eye(4)).label)
@@ -82,6 +90,8 @@ class _Network:
         answer = {name: locked(say(label, self.outputs[name])) for name, say in self._known}
         if set(_CENTERS) <= self.outputs.keys():
             answer |= _centers(label, self.outputs)
+        if self._anchors is not None:
+            answer |= _moved_anchors(label, self.outputs, self._anchors)
         return answer
 
 
@@ -115,6 +125,39 @@ def _centers(label: NDArray[np.uint8], outputs: Mapping[str, TensorSpec]) -> Nat
         size[0, row, column] = np.log([x1 - x0, y1 - y0])
         offset[0, row, column] = (x0 + x1) / 2 - column - 0.5, (y0 + y1) / 2 - row - 0.5
     return {name: locked(one) for name, one in zip(_CENTERS, (heat, size, offset), strict=True)}
+
+
+class _Anchors:
+    """Anchors (n, 4), center y x height width, by their forms: there are few of those."""
+
+    def __init__(self, anchors: NDArray[np.float32]) -> None:
+        self._anchors = anchors
+        self._forms, form = np.unique(anchors[:, 2:], axis=0, return_inverse=True)
+        self._of_form = [np.flatnonzero(form == k) for k in range(len(self._forms))]
+
+    def moved(self, box: NDArray[np.float64]) -> tuple[int, NDArray[np.float64]]:
+        """The nearest of those of the box's size, and its regressions ty tx th tw to the box."""
+        form = int(np.argmin((np.log(box[2:] / self._forms) ** 2).sum(axis=1)))
+        among = self._of_form[form]
+        away = (box[:2] - self._anchors[among, :2]) / self._forms[form]
+        nearest = int(np.argmin((away**2).sum(axis=1)))
+        moves = np.concatenate([away[nearest], np.log(box[2:] / self._forms[form])])
+        return int(among[nearest]), moves * CODER
+
+
+def _moved_anchors(
+    label: NDArray[np.uint8], outputs: Mapping[str, TensorSpec], anchors: _Anchors
+) -> Native:
+    """Boxes (1, anchors, 4), not quantized, and scores (1, anchors, classes): an anchor for each
+    patch."""
+    boxes, scores = (np.zeros(outputs[name].shape, outputs[name].dtype) for name in _ANCHORED)
+    form = outputs["scores"]
+    logit = np.log(SCORE / (1 - SCORE))
+    for number, (x0, y0, x1, y1) in _patches(label, CENTERED):
+        box = np.array([(y0 + y1) / 2, (x0 + x1) / 2, y1 - y0, x1 - x0])
+        anchor, boxes[0, anchor] = anchors.moved(box)
+        scores[0, anchor, number] = round(logit / form.scale) + form.zero_point
+    return {name: locked(one) for name, one in zip(_ANCHORED, (boxes, scores), strict=True)}
 
 
 def _patches(

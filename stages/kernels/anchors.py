@@ -8,11 +8,28 @@ side.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.kernels.boxes import Boxes, exp_size, from_center
+
+
+class Multiscale(NamedTuple):
+    """What `multiscale_anchors` wants to know beside the picture."""
+
+    levels: tuple[int, int]
+    base: float
+    ratios: tuple[float, ...]
+    per_octave: int
+
+
+#: Of the detectors that are trained here: 12, 24, 48 and 96 px at strides 4 to 32, three forms. The
+#: usual ones (stride 16 and more, from 32 px) overlap no person of thermal images by half.
+SMALL_OBJECTS = Multiscale((2, 5), 3.0, (1.0, 0.5, 2.0), 1)
+#: Of TensorFlow's object detection: how regressions are scaled.
+CODER = (10.0, 10.0, 5.0, 5.0)
 
 
 def ssd_anchors(

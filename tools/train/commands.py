@@ -73,7 +73,10 @@ Threads = Annotated[int, typer.Option(metavar="N", min=1, help="Of torch.")]
 Backbone = Annotated[
     BackboneName, typer.Option(help="residual learns faster; mobiledet is the paper's.")
 ]
-Head = Annotated[HeadName, typer.Option(help="centernet finds small objects; ssd is the paper's.")]
+Head = Annotated[
+    HeadName,
+    typer.Option(help="ssd (the paper's) finds more in color, centernet in thermal images."),
+]
 License = Annotated[str, typer.Option(metavar="TEXT", help="Of the data, and so of the weights.")]
 Attribution = Annotated[str, typer.Option(metavar="TEXT", help="Whom to name beside the weights.")]
 JudgedOn = Annotated[
@@ -133,7 +136,13 @@ Width = Annotated[
 
 
 def _detector_command(
-    name: str, told: str, steps: int, license: str, attribution: str, *lines: str
+    name: str,
+    told: str,
+    steps: int,
+    head: HeadName,
+    license: str,
+    attribution: str,
+    *lines: str,
 ) -> None:
     """The command of one detector; they differ in what is `told` of them and their defaults."""
 
@@ -143,7 +152,7 @@ def _detector_command(
         steps: Steps = steps,
         seed: Seed = 0,
         backbone: Backbone = BackboneName.RESIDUAL,
-        head: Head = HeadName.CENTERNET,
+        head: Head = head,
         threads: Threads = 1,
         license: License = license,
         attribution: Attribution = attribution,
@@ -179,6 +188,7 @@ _detector_command(
     "detect-thermal",
     "Train the thermal detector: persons, vehicles and bicycles at 640 x 512, one channel.",
     3600,
+    HeadName.CENTERNET,
     "not stated",
     "not stated",
     "overflight train detect-thermal --data thermal_frames --license 'CC BY 4.0' -o out/thermal",
@@ -189,6 +199,7 @@ _detector_command(
     "detect-rgb",
     "Train the color detector: persons, vehicles and bicycles at 848 x 480.",
     3000,
+    HeadName.SSD,
     "Apache-2.0",
     SIMULATED,
     "overflight train detect-rgb --data city101.mcap --steps 3000 -o out/rgb",

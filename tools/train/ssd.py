@@ -11,18 +11,15 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from stages.kernels.anchors import multiscale_anchors
+from stages.kernels.anchors import CODER, SMALL_OBJECTS, multiscale_anchors
 from tools.train.blocks import ConvBn
 from tools.train.center_net import PRIOR
 from tools.train.crops import Crop, Crops
 from tools.train.detector import as_input
 from tools.train.pyramid import Backbone, Pyramid
 
-#: Anchors of 12, 24, 48 and 96 px at strides 4 to 32, three forms each. The usual ones (stride 16
-#: and more, from 32 px) overlap no person of thermal images by half.
-LEVELS, BASE, RATIOS = (2, 5), 3.0, (1.0, 0.5, 2.0)
-#: Of TensorFlow's object detection: how regressions are scaled.
-CODER = (10.0, 10.0, 5.0, 5.0)
+#: Boxes at each cell of a level.
+FORMS = len(SMALL_OBJECTS.ratios) * SMALL_OBJECTS.per_octave
 #: From which overlap an anchor learns an object, and up to which it learns that there is none.
 MATCHED, UNMATCHED = 0.5, 0.4
 #: Focal loss of Lin et al. (RetinaNet); a box is worth as much as its class.
@@ -40,10 +37,8 @@ class Ssd(nn.Module):
         self.backbone = backbone
         self.pyramid = Pyramid(backbone.widths, neck)
         self.head = nn.ModuleList(ConvBn(neck, head) for _ in backbone.widths)
-        self.scores = nn.ModuleList(
-            nn.Conv2d(head, len(RATIOS) * classes, 1) for _ in backbone.widths
-        )
-        self.boxes = nn.ModuleList(nn.Conv2d(head, len(RATIOS) * 4, 1) for _ in backbone.widths)
+        self.scores = nn.ModuleList(nn.Conv2d(head, FORMS * classes, 1) for _ in backbone.widths)
+        self.boxes = nn.ModuleList(nn.Conv2d(head, FORMS * 4, 1) for _ in backbone.widths)
         for predictor in (*self.scores, *self.boxes):
             nn.init.normal_(predictor.weight, std=0.01)
             nn.init.zeros_(predictor.bias)
@@ -62,8 +57,11 @@ class Ssd(nn.Module):
 
     def registry_head(self) -> Mapping[str, Any]:
         """What the registry says of the outputs."""
-        anchors = {"kind": "multiscale", "levels": list(LEVELS), "base": BASE}
-        anchors |= {"ratios": list(RATIOS), "per_octave": 1}
+        anchors = SMALL_OBJECTS._asdict() | {
+            "kind": "multiscale",
+            "levels": list(SMALL_OBJECTS.levels),
+            "ratios": list(SMALL_OBJECTS.ratios),
+        }
         return {"kind": "ssd", "anchors": anchors, "background": False}
 
 
@@ -79,7 +77,7 @@ class SsdDetector:
         self.network = network
         self._crops = crops
         self._batch_size = batch_size
-        self._anchors = multiscale_anchors(LEVELS, BASE, RATIOS, 1, (side, side)) * side
+        self._anchors = multiscale_anchors(*SMALL_OBJECTS, (side, side)) * side
 
     def batch(self, random: np.random.Generator) -> dict[str, Tensor]:
         crops = [self._crops.draw(random) for _ in range(self._batch_size)]

@@ -5,7 +5,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the extra 'train' is not installed")
 
-from stages.kernels.anchors import multiscale_anchors  # noqa: E402
+from stages.kernels.anchors import SMALL_OBJECTS, multiscale_anchors  # noqa: E402
 from tools.train.blocks import parameters_of, scaled  # noqa: E402
 from tools.train.center_net import CenterNet  # noqa: E402
 from tools.train.deeplab import DeepLab  # noqa: E402
@@ -13,7 +13,7 @@ from tools.train.mobiledet import MobileDet  # noqa: E402
 from tools.train.pyramid_segmenter import PyramidSegmenter  # noqa: E402
 from tools.train.residual_backbone import ResidualBackbone  # noqa: E402
 from tools.train.salsanext import SalsaNext  # noqa: E402
-from tools.train.ssd import BASE, LEVELS, RATIOS, Ssd  # noqa: E402
+from tools.train.ssd import FORMS, Ssd  # noqa: E402
 
 
 @pytest.mark.parametrize(("classes", "parameters"), [(20, 6_711_572), (15, 6_711_407)])
@@ -58,7 +58,7 @@ def test_a_size_that_does_not_divide_by_32_still_gives_cells_of_4_pixels() -> No
 def test_an_ssd_has_a_row_for_each_anchor_of_its_head() -> None:
     network = Ssd(ResidualBackbone(1), 3).eval()
     outputs = network(torch.zeros(1, 1, 64, 96))
-    anchors = multiscale_anchors(LEVELS, BASE, RATIOS, 1, (96, 64))
+    anchors = multiscale_anchors(*SMALL_OBJECTS, (96, 64))
     assert outputs["boxes"].shape == (1, len(anchors), 4)
     assert outputs["scores"].shape == (1, len(anchors), 3)
 
@@ -67,7 +67,7 @@ def test_rows_of_an_ssd_follow_levels_rows_columns_and_forms() -> None:
     network = Ssd(ResidualBackbone(1), 1).eval()
     for level, predictor in enumerate(network.scores):
         torch.nn.init.zeros_(predictor.weight)
-        predictor.bias.data = 10.0 * level + torch.arange(len(RATIOS))
+        predictor.bias.data = 10.0 * level + torch.arange(FORMS)
     said = network(torch.zeros(1, 1, 32, 32))["scores"][0, :, 0].detach().numpy()
     cells = [64, 16, 4, 1]
     wanted = [np.tile(10.0 * level + np.arange(3), count) for level, count in enumerate(cells)]

@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch", reason="the extra 'train' is not installed"
 from pipeline.model import Tensor  # noqa: E402
 from stages.heads.centernet import CenterNet as CenterNetHead  # noqa: E402
 from stages.heads.ssd import Ssd as SsdHead  # noqa: E402
-from stages.kernels.anchors import multiscale_anchors  # noqa: E402
+from stages.kernels.anchors import SMALL_OBJECTS, multiscale_anchors  # noqa: E402
 from tools.train.center_loss import center_loss, generalized_iou  # noqa: E402
 from tools.train.center_net import CenterNet  # noqa: E402
 from tools.train.center_targets import center_targets  # noqa: E402
@@ -19,7 +19,7 @@ from tools.train.crops import Augmentation, Crop, Crops  # noqa: E402
 from tools.train.pictures import LabeledPicture  # noqa: E402
 from tools.train.recipes import DETECT_RGB, DETECT_THERMAL, DetectorRecipe  # noqa: E402
 from tools.train.residual_backbone import ResidualBackbone  # noqa: E402
-from tools.train.ssd import BASE, LEVELS, RATIOS, Ssd, match_anchors  # noqa: E402
+from tools.train.ssd import Ssd, match_anchors  # noqa: E402
 
 SIDE = 128
 BOXES = np.array([[20, 30, 34, 60], [70, 70, 118, 100], [4, 90, 15, 99]], np.float32)
@@ -90,7 +90,7 @@ def test_generalized_iou_is_that_of_its_definition() -> None:
 
 
 def test_the_ssd_head_reads_the_boxes_that_were_taught() -> None:
-    anchors = multiscale_anchors(LEVELS, BASE, RATIOS, 1, (SIDE, SIDE)) * SIDE
+    anchors = multiscale_anchors(*SMALL_OBJECTS, (SIDE, SIDE)) * SIDE
     labels, regressions = match_anchors(crop(), anchors)
     logits = np.full((1, len(anchors), 3), -9.0, np.float32)
     taught = np.flatnonzero(labels >= 0)
