@@ -31,8 +31,8 @@ def die(console: Console) -> None:
 
 def train(folder: Path, console: Console) -> None:
     """Until it is asked to end; then it saves."""
-    (folder / "begun").touch()
     try:
+        (folder / "begun").touch()
         time.sleep(60)
     except KeyboardInterrupt:
         (folder / "saved").touch()
