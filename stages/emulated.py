@@ -14,6 +14,7 @@ from pipeline.model import Model, Native, Probe, TensorSpec
 from stages.emulated_street import lidar_rays, look_along, read_classes
 from stages.kernels.anchors import CODER, SMALL_OBJECTS, multiscale_anchors
 from stages.kernels.compiled import locked
+from stages.kernels.scores import logit
 from stages.taxonomy import load_taxonomy
 
 #: What the detectors know, by their own class ids (`class_map` in the model registry): those that
@@ -117,14 +118,18 @@ def _centers(label: NDArray[np.uint8], outputs: Mapping[str, TensorSpec]) -> Nat
     heat, size, offset = (np.zeros(outputs[name].shape, outputs[name].dtype) for name in _CENTERS)
     form = outputs["heat"]
     _, rows, columns, _ = form.shape
-    logit = np.log(SCORE / (1 - SCORE))
     for number, box in _patches(label, CENTERED):
         x0, y0, x1, y1 = np.array(box) * (columns, rows, columns, rows)
         column, row = int((x0 + x1) / 2), int((y0 + y1) / 2)
-        heat[0, row, column, number] = round(logit / form.scale) + form.zero_point
+        heat[0, row, column, number] = _stored(SCORE, form)
         size[0, row, column] = np.log([x1 - x0, y1 - y0])
         offset[0, row, column] = (x0 + x1) / 2 - column - 0.5, (y0 + y1) / 2 - row - 0.5
     return {name: locked(one) for name, one in zip(_CENTERS, (heat, size, offset), strict=True)}
+
+
+def _stored(score: float, form: TensorSpec) -> int:
+    """A score as the quantized logit of an output."""
+    return round(logit(score) / form.scale) + form.zero_point
 
 
 class _Anchors:
@@ -152,11 +157,10 @@ def _moved_anchors(
     patch."""
     boxes, scores = (np.zeros(outputs[name].shape, outputs[name].dtype) for name in _ANCHORED)
     form = outputs["scores"]
-    logit = np.log(SCORE / (1 - SCORE))
     for number, (x0, y0, x1, y1) in _patches(label, CENTERED):
         box = np.array([(y0 + y1) / 2, (x0 + x1) / 2, y1 - y0, x1 - x0])
         anchor, boxes[0, anchor] = anchors.moved(box)
-        scores[0, anchor, number] = round(logit / form.scale) + form.zero_point
+        scores[0, anchor, number] = _stored(SCORE, form)
     return {name: locked(one) for name, one in zip(_ANCHORED, (boxes, scores), strict=True)}
 
 

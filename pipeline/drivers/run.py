@@ -159,8 +159,9 @@ class _Run:
         """Run to the end; the recorder writes meanwhile, and until the stack is left."""
         if self._speed is not None:
             freeze()
-        began = None if self._offline else self._began
-        self._course = Course(self._opened_sources(), began, duration_s, self._no_end_known)
+        if self._progress is not None:  # sources read an index for it
+            began = None if self._offline else self._began
+            self._course = Course(self._opened_sources(), began, duration_s, self._no_end_known)
         self._started = time.monotonic_ns()
         self._profiler.start(self._graph.devices)
         if self._recorder is not None:

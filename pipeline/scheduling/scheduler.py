@@ -66,7 +66,7 @@ class Scheduler(Runs):
             if reason is Refusal.EARLY and output.min_period is not None:
                 output.min_period = None
                 text = "a message came before the promised min_period_ms; the promise is withdrawn"
-                self._observer.event("promise_withdrawn", str(port), text, now)
+                self._event("promise_withdrawn", str(port), text)
             return self._starts
         taken = Message(
             message.payload,

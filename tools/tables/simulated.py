@@ -7,7 +7,7 @@ against the class of the point's voxel in a map annotated by hand.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -69,12 +69,18 @@ def filled(
     """The verdicts of each (row, flight), one per seed; what is there already is read."""
     verdicts: dict[tuple[str, str], list[Verdict]] = {}
     for seed in range(experiment.seeds):
-        for key, row in plan.rows.items():
-            for flight in plan.flights:
-                fill = _filler(experiment, row, flight, seed, judge)
-                verdict = experiment.rows.filled(f"{prefix}{key}-{flight}", seed, fill)
-                verdicts.setdefault((key, flight), []).append(verdict)
+        for key, row, flight in _judged(plan):
+            fill = _filler(experiment, row, flight, seed, judge)
+            verdict = experiment.rows.filled(f"{prefix}{key}-{flight}", seed, fill)
+            verdicts.setdefault((key, flight), []).append(verdict)
     return verdicts
+
+
+def _judged(plan: TablePlan) -> Iterator[tuple[str, RowPlan, str]]:
+    """Each row, by its key, on each flight."""
+    for key, row in plan.rows.items():
+        for flight in plan.flights:
+            yield key, row, flight
 
 
 def unfilled(experiment: Experiment, table: str) -> list[tuple[str, int]]:
@@ -84,8 +90,7 @@ def unfilled(experiment: Experiment, table: str) -> list[tuple[str, int]]:
         dict.fromkeys(
             (row.network, seed)
             for seed in range(experiment.seeds)
-            for key, row in plan.rows.items()
-            for flight in plan.flights
+            for key, row, flight in _judged(plan)
             if row.network is not None and read(f"{_prefix(table)}{key}-{flight}", seed) is None
         )
     )
@@ -94,8 +99,8 @@ def unfilled(experiment: Experiment, table: str) -> list[tuple[str, int]]:
 def fill_rows_of(experiment: Experiment, table: str, network: str, seed: int) -> None:
     """Fill the rows of a table that judge one network."""
     plan = plans().tables[table]
-    for key, row in plan.rows.items():
-        for flight in plan.flights if row.network == network else ():
+    for key, row, flight in _judged(plan):
+        if row.network == network:
             fill = _filler(experiment, row, flight, seed, judge_row)
             experiment.rows.filled(f"{_prefix(table)}{key}-{flight}", seed, fill)
 
