@@ -125,7 +125,8 @@ def deskew(
     """Move the points (n, 3) of a sweep, each measured at its own time (n,), into one frame.
 
     `reference_from_sensor` (k, 4, 4) are the transforms at k even instants from `first_ns` to
-    `last_ns` (`sweep_knots`), interpolated linearly between. Returns (n, 3) float32.
+    `last_ns` (`sweep_knots`), interpolated linearly between. Returns (n, 3) float32; what has no
+    return (0, 0, 0) stays so.
     """
     knots = len(reference_from_sensor)
     per_ns = (knots - 1) / max(last_ns - first_ns, 1)
@@ -136,6 +137,9 @@ def deskew(
         b = position - knot
         a = 1.0 - b
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        if x == 0 and y == 0 and z == 0:
+            moved[i] = 0
+            continue
         for row in range(3):
             p = reference_from_sensor[knot, row]
             q = reference_from_sensor[knot + 1, row]

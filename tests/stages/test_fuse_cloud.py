@@ -272,6 +272,17 @@ def test_spoiled_scores_are_no_evidence_and_counted() -> None:
     assert stage.statistics()["points_with_unsound_image_scores"] == 2
 
 
+def test_a_ray_without_a_return_is_no_point_however_fast_the_vehicle_moves() -> None:
+    times = np.full(len(POINTS), 50_000_000, np.int32)  # 50 ms after the stamp: 2 m at 40 m/s
+    times[0] = 0
+    image = halves(ROAD, VEHICLE)
+    cloud = FuseCloud(calibration=CALIBRATION).process(
+        scan(POINTS, times), (image,), (), forward_at(40.0)
+    )
+    assert cloud.points.any(axis=1).tolist() == [True, True, True, False]
+    assert not cloud.evidence[3]
+
+
 @pytest.mark.parametrize("points", [np.zeros((0, 3), np.float32), np.zeros((5, 3), np.float32)])
 def test_an_empty_scan_fuses_to_an_empty_or_unlabeled_cloud(points: np.ndarray) -> None:
     times = np.zeros(len(points), np.int32)

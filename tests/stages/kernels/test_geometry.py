@@ -128,6 +128,14 @@ def test_deskew_moves_each_point_by_the_motion_since_its_own_time() -> None:
     assert np.abs(moved - oracle).max() < 2e-4  # seen: 9e-5 m, the chord between knots at 87 m
 
 
+def test_deskew_leaves_what_has_no_return_without_one() -> None:
+    points = np.array([[0, 0, 0], [0, 0, 1], [0, 0, 0]], np.float32)
+    times = np.array([0, 50, 100], np.int32)
+    motion = np.stack([np.eye(4), pose([0, 0, 0.5], (30.0, 0, 0))])
+    moved = deskew(points, times, 0, 100, motion)
+    assert moved.any(axis=1).tolist() == [False, True, False]
+
+
 def test_a_return_is_finite_and_farther_than_the_vehicle() -> None:
     points = np.array(
         [[0, 0, 0], [0.5, 0, 0], [0, 1, 0], [np.nan, 9, 9], [np.inf, 0, 0], [9, 9, 9]], np.float32
