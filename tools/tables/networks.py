@@ -11,6 +11,8 @@ import yaml
 from rich.console import Console
 
 from stages.kernels.channel_moments import adapted
+from stages.kernels.compiled import as_input
+from stages.kernels.geometry import has_return
 from stages.observed import read_observation, write_observation
 from stages.scan_statistics import ScanStatistics
 from stages.sinks.whole_file import whole_file
@@ -20,7 +22,7 @@ from tools.propagation.settings import Settings, Teacher
 from tools.tables.evidence import fused_evidence, with_fused
 from tools.tables.plan import NetworkPlan, plans
 from tools.tables.scan_judging import ScanNetwork
-from tools.tables.world import World
+from tools.tables.world import MIN_RANGE_M, World
 from tools.train.open_scans import open_scans
 from tools.train.plan import Order as Training
 from tools.train.scan_sources import LabeledPoints, ScanSource
@@ -182,17 +184,16 @@ class Networks:
         return folder
 
     def _statistics(self) -> Path:
-        """The figures of the source, of the views, and of the source fitted to flight A."""
+        """The figures of the source, and of the source fitted to flight A and to the views."""
         path = self._world.folder / "statistics.yaml"
         if path.is_file():
             return path
         source = _measured(open_scans(one) for one in self._world.flights("source"))
         views = _measured(open_scans(self._views(one)) for one in self._world.flights("views"))
         target = _measured(iter([_Observed(self._world.observed("flight_a"))]))
-        mean, std = adapted(source.mean, target.mean), adapted(source.std, target.std)
-        fitted = ScanStatistics(ELEVATION_RAD, mean, std)
+        fitted = {SOURCE: source, ADAPTED: _fitted(source, target), VIEWS: _fitted(source, views)}
         text = ""
-        for name, entry in ((SOURCE, source), (ADAPTED, fitted), (VIEWS, views)):
+        for name, entry in fitted.items():
             text = entry.written_to(text, name, "the simulated flights beside this file")
         with whole_file(path) as file:
             file.write(text.encode())
@@ -217,13 +218,19 @@ class _Observed:
         return LabeledPoints(one.points, remission, nothing.astype(np.uint8), one.shape)
 
 
+def _fitted(source: ScanStatistics, own: ScanStatistics) -> ScanStatistics:
+    """The source's figures with z and remission of other scans: meters count alike in all."""
+    mean, std = adapted(source.mean, own.mean), adapted(source.std, own.std)
+    return ScanStatistics(ELEVATION_RAD, mean, std)
+
+
 def _measured(sources: Iterator[ScanSource]) -> ScanStatistics:
     """Mean and deviation of range, x, y, z and remission over the returns of some scans."""
     rows = []
     for source in sources:
         for number in np.linspace(0, len(source) - 1, min(MEASURED, len(source))).astype(int):
             one = source.read(int(number))
-            hit = one.points.any(axis=1)
+            hit = has_return(as_input(one.points), MIN_RANGE_M)
             points = one.points[hit]
             distance = np.linalg.norm(points, axis=1)
             rows.append(np.column_stack([distance, points, one.remission[hit]]))

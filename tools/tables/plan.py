@@ -28,6 +28,14 @@ class RowPlan(_Entry):
     normal: Literal["adapted", "source"] = "adapted"
     map: bool = False  #: judged as a map, not scan by scan
 
+    @property
+    def judged(self) -> str:
+        """What is judged and how, for a file's name: rows alike in two tables are judged once."""
+        words = ["cameras"]
+        if self.network is not None:
+            words = [self.network, str(self.size), self.normal, *(["fused"] if self.fused else [])]
+        return "-".join([*words, *(["map"] if self.map else []), f"view-{self.view}"])
+
 
 class TablePlan(_Entry):
     """A table of the paper."""
@@ -35,6 +43,11 @@ class TablePlan(_Entry):
     title: str
     rows: dict[str, RowPlan]
     flights: list[str] = ["flight_a", "flight_b"]  #: that the rows are judged on
+
+    @property
+    def in_paper(self) -> bool:
+        """Whether the paper has the table."""
+        return any(row.mean is not None for row in self.rows.values())
 
 
 class NetworkPlan(_Entry):

@@ -45,33 +45,28 @@ Judge = Callable[[World, RowPlan, ScanNetwork | None, str], Verdict]
 def tables_of(experiment: Experiment, name: str) -> list[Table]:
     """One table for each judged flight. Raises OverflightError, `tools.train.loop.Interrupted`."""
     plan = plans().tables[name]
-    verdicts = filled(experiment, plan, judge_row, _prefix(name))
-    title = plan.title if _prefix(name) else f"Table {name}: {plan.title}"
+    verdicts = filled(experiment, plan, judge_row)
+    title = f"Table {name}: {plan.title}" if plan.in_paper else plan.title
     return [
         Table(
             f"{title} ({FLIGHTS[flight]})",
             [_line(row, verdicts[key, flight]) for key, row in plan.rows.items()],
-            (*experiment.conditions(), *([] if _prefix(name) else [WHY])),
+            (*experiment.conditions(), *([WHY] if plan.in_paper else [])),
         )
         for flight in plan.flights
     ]
 
 
-def _prefix(table: str) -> str:
-    """Of the files of a table's rows: those of the paper's tables are named by themselves."""
-    rows = plans().tables[table].rows.values()
-    return "" if any(row.mean is not None for row in rows) else f"{table}-"
-
-
 def filled(
     experiment: Experiment, plan: TablePlan, judge: Judge, prefix: str = ""
 ) -> dict[tuple[str, str], list[Verdict]]:
-    """The verdicts of each (row, flight), one per seed; what is there already is read."""
+    """The verdicts of each (row, flight), one per seed; what is there already is read. The files of
+    another judge have another `prefix`."""
     verdicts: dict[tuple[str, str], list[Verdict]] = {}
     for seed in range(experiment.seeds):
         for key, row, flight in _judged(plan):
             fill = _filler(experiment, row, flight, seed, judge)
-            verdict = experiment.rows.filled(f"{prefix}{key}-{flight}", seed, fill)
+            verdict = experiment.rows.filled(f"{prefix}{row.judged}-{flight}", seed, fill)
             verdicts.setdefault((key, flight), []).append(verdict)
     return verdicts
 
@@ -90,8 +85,8 @@ def unfilled(experiment: Experiment, table: str) -> list[tuple[str, int]]:
         dict.fromkeys(
             (row.network, seed)
             for seed in range(experiment.seeds)
-            for key, row, flight in _judged(plan)
-            if row.network is not None and read(f"{_prefix(table)}{key}-{flight}", seed) is None
+            for _, row, flight in _judged(plan)
+            if row.network is not None and read(f"{row.judged}-{flight}", seed) is None
         )
     )
 
@@ -99,10 +94,10 @@ def unfilled(experiment: Experiment, table: str) -> list[tuple[str, int]]:
 def fill_rows_of(experiment: Experiment, table: str, network: str, seed: int) -> None:
     """Fill the rows of a table that judge one network."""
     plan = plans().tables[table]
-    for key, row, flight in _judged(plan):
+    for _, row, flight in _judged(plan):
         if row.network == network:
             fill = _filler(experiment, row, flight, seed, judge_row)
-            experiment.rows.filled(f"{_prefix(table)}{key}-{flight}", seed, fill)
+            experiment.rows.filled(f"{row.judged}-{flight}", seed, fill)
 
 
 def _line(row: RowPlan, verdicts: Sequence[Verdict]) -> Line:

@@ -33,7 +33,7 @@ def recall_tables(experiment: Experiment) -> list[Table]:
     """The recall of persons by where the cameras look, on each flight. Raises OverflightError,
     `tools.train.loop.Interrupted`."""
     plan = plans().tables[NAME]
-    verdicts = filled(experiment, plan, judge_persons, f"{NAME}-")
+    verdicts = filled(experiment, plan, judge_persons, "persons-")
     tables = []
     for flight in plan.flights:
         first = verdicts[next(iter(plan.rows)), flight][0]

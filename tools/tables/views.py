@@ -20,6 +20,8 @@ from tools.train.flights import messages_of
 LIDAR, POSE = "lidar", "pose"
 #: Points of a scan that are kept: a street is seen by many scans.
 EVERY_POINT = 2
+#: Above the car's sensor: so that they look from where the flights of the tables are.
+HEIGHTS_M = (3.0, 9.0)
 
 
 def cloud_of_flight(flight: Path) -> AggregatedCloud:
@@ -54,7 +56,7 @@ def cloud_of_flight(flight: Path) -> AggregatedCloud:
 
 def write_views(flight: Path, folder: Path) -> None:
     """The views over a drive as a sequence of labeled scans."""
-    views = SimulatedViews(flight.name, cloud_of_flight(flight))
+    views = SimulatedViews(flight.name, cloud_of_flight(flight), heights_m=HEIGHTS_M)
     nothing = Said(np.zeros(0, np.int32), np.zeros((0, 16), np.float16))
     with SequenceWriter(folder, None) as writer:
         for number in range(len(views)):

@@ -40,12 +40,28 @@ class World:
 SCAN = judged([ROAD, ROAD, VEHICLE, PERSON, PERSON], [0, 1, 2, 3], {0: ROAD, 1: ROAD, 2: VEHICLE})
 
 
-def test_the_tables_have_the_papers_rows_and_two_controls() -> None:
+def test_the_tables_have_the_papers_rows_and_three_controls() -> None:
     tables = plans().tables
     assert {name: len(table.rows) for name, table in tables.items()} == {
-        "3": 8, "4": 6, "5": 13, "6": 4, "second": 3, "12": 5, "17": 4,
+        "3": 8, "4": 6, "5": 14, "6": 4, "second": 3, "12": 5, "17": 4,
     }  # fmt: skip
-    assert sum(one.mean is None for one in tables["5"].rows.values()) == 2
+    assert sum(one.mean is None for one in tables["5"].rows.values()) == 3
+
+
+def test_rows_alike_in_two_tables_are_judged_once_and_others_apart() -> None:
+    tables = plans().tables
+    before, source = tables["3"].rows["single-512"], tables["5"].rows["source-i"]
+    assert before.judged == source.judged == "source-512-adapted-view-all"
+    for name in ("3", "4", "5", "6", "12", "17"):
+        rows = tables[name].rows.values()
+        assert len({one.judged for one in rows}) == len(rows)
+    cameras = [
+        tables["3"].rows["image-view"],
+        *(tables["6"].rows[f"map-camera{v}"] for v in ("", "-view")),
+    ]
+    assert [one.judged for one in cameras] == [
+        "cameras-view-camera", "cameras-map-view-all", "cameras-map-view-camera",
+    ]  # fmt: skip
 
 
 def test_a_flight_of_a_figure_is_flight_a_changed() -> None:
