@@ -32,7 +32,7 @@ from tools.train.scan_training import ScanChoices, train_from_points
 ELEVATION_RAD = (-np.pi / 4, np.pi / 4)
 #: Scans that tell the figures of a source.
 MEASURED = 40
-SOURCE, ADAPTED, VIEWS = "source", "adapted", "views"
+SOURCE, ADAPTED, HEIGHT, VIEWS = "source", "adapted", "height", "views"
 #: What labels a further iteration: the fused map of a flight with this network in it, by part.
 RETRAINED = "views-map"
 AGAIN = {"again": "flight_a", "again-disaster": "disaster"}
@@ -59,8 +59,8 @@ class Networks:
         self._console = console
 
     def open(self, name: str, seed: int, size: int, normal: str) -> ScanNetwork:
-        """The network of `paper.yaml` at an image `size` columns wide, normalized as `source` or
-        `adapted`. Raises OverflightError, Interrupted."""
+        """The network of `paper.yaml` at an image `size` columns wide, normalized as `source`,
+        `adapted` or `height` (z alone adapted). Raises OverflightError, Interrupted."""
         registry = self.trained(name, seed)
         model = "segment-scan" if size == 512 else f"segment-scan-{size}"
         return ScanNetwork.open(registry, normal, self._statistics(), name=model)
@@ -184,14 +184,19 @@ class Networks:
         return folder
 
     def _statistics(self) -> Path:
-        """The figures of the source, and of the source fitted to flight A and to the views."""
+        """The figures of the source, and of it fitted to flight A (in all, in z) and the views."""
         path = self._world.folder / "statistics.yaml"
         if path.is_file():
             return path
         source = _measured(open_scans(one) for one in self._world.flights("source"))
         views = _measured(open_scans(self._views(one)) for one in self._world.flights("views"))
         target = _measured(iter([_Observed(self._world.observed("flight_a"))]))
-        fitted = {SOURCE: source, ADAPTED: _fitted(source, target), VIEWS: _fitted(source, views)}
+        fitted = {
+            SOURCE: source,
+            ADAPTED: _fitted(source, target),
+            HEIGHT: _fitted(source, target, remission=False),
+            VIEWS: _fitted(source, views),
+        }
         text = ""
         for name, entry in fitted.items():
             text = entry.written_to(text, name, "the simulated flights beside this file")
@@ -218,9 +223,13 @@ class _Observed:
         return LabeledPoints(one.points, remission, nothing.astype(np.uint8), one.shape)
 
 
-def _fitted(source: ScanStatistics, own: ScanStatistics) -> ScanStatistics:
+def _fitted(
+    source: ScanStatistics, own: ScanStatistics, *, remission: bool = True
+) -> ScanStatistics:
     """The source's figures with z and remission of other scans: meters count alike in all."""
     mean, std = adapted(source.mean, own.mean), adapted(source.std, own.std)
+    if not remission:
+        mean[4], std[4] = source.mean[4], source.std[4]
     return ScanStatistics(ELEVATION_RAD, mean, std)
 
 

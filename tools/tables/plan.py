@@ -25,7 +25,7 @@ class RowPlan(_Entry):
     size: Literal[512, 1024] = 512
     fused: bool = False
     view: Literal["all", "camera"] = "all"
-    normal: Literal["adapted", "source"] = "adapted"
+    normal: Literal["adapted", "height", "source"] = "adapted"
     map: bool = False  #: judged as a map, not scan by scan
 
     @property

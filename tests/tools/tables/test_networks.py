@@ -128,6 +128,9 @@ def test_other_scans_change_the_figures_of_height_and_remission_alone() -> None:
     assert fitted.mean[3:].tolist() == own.mean[3:].tolist()
     assert fitted.std[:3].tolist() == source.std[:3].tolist()
     assert fitted.std[3:].tolist() == own.std[3:].tolist()
+    height = _fitted(source, own, remission=False)
+    assert height.mean.tolist() == [*fitted.mean[:4].tolist(), source.mean[4]]
+    assert height.std.tolist() == [*fitted.std[:4].tolist(), source.std[4]]
 
 
 def test_a_scan_is_split_into_thinner_ones_without_losing_a_point(tmp_path: Path) -> None:
