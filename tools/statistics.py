@@ -28,7 +28,7 @@ from tools.scan_source import open_scans
 
 CHANNELS = {"range": "m", "x": "m", "y": "m", "z": "m", "remission": "0..1"}
 
-#: Nearer points are the vehicle's own: they do not tell the field of view.
+#: Nearer points are the vehicle's own: they tell neither the field of view nor what it sees.
 NEAR_M = 1.0
 
 
@@ -39,7 +39,7 @@ class Tally:
     elevation_deg: tuple[float, float]
     moments: NDArray[np.float64]  #: (3, 5)
     scans: int = 0
-    points: int = 0  #: with a return
+    points: int = 0  #: with a return, those of the vehicle itself too
     outside: int = 0  #: of these, in no cell
     cells: int = 0
     remission: bool = False  #: some scan carried it
@@ -63,6 +63,7 @@ def statistics_of(
     settings: Sequence[str],
     name: str | None,
     adapt: str | None,
+    keep_remission: bool,
     size: tuple[int, int],
     elevation_deg: tuple[float, float] | None,
     scans: int | None,
@@ -70,6 +71,8 @@ def statistics_of(
     as_json: bool,
 ) -> None:
     """Measure, print, and write an entry where asked to. Raises DataError naming the file."""
+    if keep_remission and adapt is None:
+        raise typer.BadParameter("--keep-remission says how to --adapt a network; name its entry")
     if elevation_deg is not None and not -90 <= elevation_deg[0] < elevation_deg[1] <= 90:
         raise typer.BadParameter("--elevation takes the lowest and then the highest angle, in deg")
     network = None if adapt is None else _entry(adapt, output)
@@ -80,11 +83,12 @@ def statistics_of(
     if not tally.moments[0, 0]:
         raise DataError(f"{recording}: has no scan with a return in the field of view")
     own = tally.statistics()
-    fitted = None if network is None else _fitted(network, own)
+    fitted = None if network is None else _fitted(network, own, remission=not keep_remission)
     name = name or recording.stem
     told = [f"{recording.name}, {_count(tally.scans)}", *settings]
     if adapt is not None:
-        told.append(f"range, x and y of {adapt}")
+        kept = "range, x, y and remission" if keep_remission else "range, x and y"
+        told.append(f"{kept} of {adapt}")
     measured_on = "; ".join(told)
     if as_json:
         facts = {"sensor": name, "measured_on": measured_on, "adapted_from": adapt}
@@ -118,7 +122,7 @@ def measure(
                         tally.elevation_deg = elevation_of(scan.points)
                     lowest, highest = map(float, np.radians(tally.elevation_deg))
                     image = RangeImage(size, (lowest, highest))
-                tally.moments += moments(image.channels(scan, none, one))
+                tally.moments += moments(image.channels(scan, none, one), NEAR_M)
                 _, cell, distance = image.places(scan)
                 tally.scans += 1
                 tally.points += int(np.count_nonzero(distance))
@@ -152,9 +156,10 @@ def _entry(name: str, output: Path | None) -> ScanStatistics:
     return ScanStatistics.read(SHIPPED, name)
 
 
-def _fitted(network: ScanStatistics, own: ScanStatistics) -> ScanStatistics:
+def _fitted(network: ScanStatistics, own: ScanStatistics, *, remission: bool) -> ScanStatistics:
     """A network's statistics for the sensor whose own are given."""
-    mean, std = adapted(network.mean, own.mean), adapted(network.std, own.std)
+    mean = adapted(network.mean, own.mean, remission=remission)
+    std = adapted(network.std, own.std, remission=remission)
     return ScanStatistics(own.elevation_rad, mean, std)
 
 

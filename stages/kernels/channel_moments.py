@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def moments(channels: NDArray[np.float32]) -> NDArray[np.float64]:
-    """(3, channels) number, sum and sum of squares over the cells with a return; they add up.
+def moments(channels: NDArray[np.float32], min_range_m: float = 0.0) -> NDArray[np.float64]:
+    """(3, channels) number, sum and sum of squares over the cells with a return at least
+    `min_range_m` away; they add up.
 
     `channels` (channels, rows, columns) as `fill_channels` gives them for mean 0 and std 1.
     """
-    values = channels[:, channels[0] > 0].astype(np.float64)
+    counted = (channels[0] > 0) & (channels[0] >= min_range_m)
+    values = channels[:, counted].astype(np.float64)
     count = np.full(len(values), values.shape[1], dtype=np.float64)
     return np.stack([count, values.sum(axis=1), (values**2).sum(axis=1)])
 
@@ -29,12 +31,16 @@ def mean_and_std(
     return mean.astype(np.float32), np.where(std > 1e-6, std, 1.0).astype(np.float32)
 
 
-def adapted(network: NDArray[np.float32], own: NDArray[np.float32]) -> NDArray[np.float32]:
+def adapted(
+    network: NDArray[np.float32], own: NDArray[np.float32], *, remission: bool = True
+) -> NDArray[np.float32]:
     """The network's mean or std (4,) or (5,) with z and remission of a sensor's own data.
 
     Both sensors see all around, so range, x and y stay as the network knows them (the paper's
-    adaptation); its height above ground and its remission differ.
+    adaptation); its height above ground and its remission differ. Where both report remission
+    alike, its mean only tells how often each material was hit: `remission` False keeps it.
     """
     result = network.copy()
-    result[3:] = own[3 : len(network)]
+    end = len(network) if remission else 4
+    result[3:end] = own[3:end]
     return result

@@ -43,6 +43,21 @@ class Anywhere(Source):
     def messages(self) -> Iterator[Message[Scan]]: ...
 """
 
+HULL = """\
+from pathlib import Path
+from collections.abc import Iterator
+import numpy as np
+from pipeline.message import Message
+from pipeline.stage import Source
+from stages.types import Scan
+
+class Hull(Source):
+    def __init__(self, *, path: Path) -> None: ...
+    def messages(self) -> Iterator[Message[Scan]]:
+        points = np.array([[4, 0, 1], [0, 0.4, 0], [0, 4, -1]], np.float32)
+        yield Message.at(0, Scan(points, None, None, None, "lidar"))
+"""
+
 
 def rows_of(seed: int) -> np.ndarray:
     """Points (200, 4) in 200 columns of their own, within +-20 deg; the first has no return."""
@@ -125,6 +140,32 @@ def test_a_network_is_adapted_in_z_and_remission_alone(overflight: Overflight, d
         np.testing.assert_allclose(getattr(written, key), expected, rtol=1e-3)
     entry = yaml.safe_load(Path("own.yaml").read_text())["mine"]
     assert entry["measured_on"] == "drive, 2 scans; range, x and y of semantickitti"
+
+
+def test_remission_that_both_sensors_report_alike_may_stay_the_networks(
+    overflight: Overflight, drive: Path
+) -> None:
+    words = ("statistics", drive, "--adapt", "semantickitti", "--keep-remission", "-o", "own.yaml")
+    assert overflight(*words).code == 0
+    written = ScanStatistics.read(Path("own.yaml"), "drive")
+    network = ScanStatistics.read(SHIPPED, "semantickitti")
+    assert written.mean[4] == network.mean[4]
+    assert written.mean[3] != network.mean[3]
+    entry = yaml.safe_load(Path("own.yaml").read_text())["drive"]
+    assert entry["measured_on"] == "drive, 2 scans; range, x, y and remission of semantickitti"
+    answer = overflight("statistics", drive, "--keep-remission")
+    assert answer.code == 2
+    assert "--keep-remission says how to --adapt a network" in answer.err
+
+
+def test_the_vehicle_itself_is_left_out_of_the_figures(
+    overflight: Overflight, tmp_path: Path
+) -> None:
+    words = ("--source", "own_hull:Hull", "--json")
+    (tmp_path / "own_hull.py").write_text(HULL)
+    found = json.loads(overflight("statistics", tmp_path / "any", *words).out)
+    assert found["channels"]["range"]["mean"] == pytest.approx(np.sqrt(17))
+    assert found["points"] == 3
 
 
 def test_the_file_that_is_written_to_may_hold_the_network(

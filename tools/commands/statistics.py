@@ -64,6 +64,14 @@ def statistics(
             show_default=False,
         ),
     ] = None,
+    keep_remission: Annotated[
+        bool,
+        typer.Option(
+            "--keep-remission",
+            help="With --adapt: remission stays the network's too, for sensors that report the "
+            "same material alike.",
+        ),
+    ] = False,
     rows: Annotated[
         int, typer.Option(metavar="N", min=1, help="Rows of the network's image.")
     ] = 64,
@@ -104,6 +112,7 @@ def statistics(
         settings=settings or (),
         name=name,
         adapt=adapt,
+        keep_remission=keep_remission,
         size=(rows, columns),
         elevation_deg=elevation,
         scans=scans,

@@ -227,9 +227,8 @@ def _fitted(
     source: ScanStatistics, own: ScanStatistics, *, remission: bool = True
 ) -> ScanStatistics:
     """The source's figures with z and remission of other scans: meters count alike in all."""
-    mean, std = adapted(source.mean, own.mean), adapted(source.std, own.std)
-    if not remission:
-        mean[4], std[4] = source.mean[4], source.std[4]
+    mean = adapted(source.mean, own.mean, remission=remission)
+    std = adapted(source.std, own.std, remission=remission)
     return ScanStatistics(ELEVATION_RAD, mean, std)
 
 

@@ -40,3 +40,14 @@ def test_nothing_measured_and_a_channel_that_stands_still_divide_by_nothing() ->
 def test_a_network_without_remission_is_adapted_in_z_alone() -> None:
     own = np.arange(5, dtype=np.float32)
     np.testing.assert_array_equal(adapted(MEAN[:4], own), [*MEAN[:3], 3])
+
+
+def test_remission_may_stay_the_networks() -> None:
+    own = np.arange(5, dtype=np.float32)
+    np.testing.assert_array_equal(adapted(MEAN, own, remission=False), [*MEAN[:3], 3, MEAN[4]])
+
+
+def test_near_cells_may_be_left_out() -> None:
+    channels = np.array([[[0.0, 0.5, 1.0, 3.0]], [[9, 9, 2, 4]]], np.float32)
+    assert moments(channels).tolist() == [[3, 3], [4.5, 15], [10.25, 101]]
+    assert moments(channels, 1.0).tolist() == [[2, 2], [4, 6], [10, 20]]
