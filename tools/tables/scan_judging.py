@@ -36,10 +36,13 @@ class ScanNetwork:
         name: str = "segment-scan",
         organized: bool = True,
     ) -> ScanNetwork:
-        """The OpenVINO file of a training, or the shipped one. Raises OverflightError."""
+        """The OpenVINO file of a training, or the shipped one; points take the scores of the cells
+        near them, the clean-up that SalsaNext is published with. Raises OverflightError."""
         registries = () if registry is None else (registry,)
         bound, _ = open_model(Registry.open(*registries), name, "openvino")
-        stage = SegmentScan(sensor=sensor, statistics=statistics, organized=organized)
+        stage = SegmentScan(
+            sensor=sensor, statistics=statistics, back="neighbors", organized=organized
+        )
         stage.model = bound.spec
         stage.open()
         return cls(bound, stage)
