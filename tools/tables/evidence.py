@@ -5,17 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.kernels.compiled import as_input
+from stages.kernels.geometry import has_return
 from stages.kernels.probability import accumulate, bound_rows, uniform_rows
 from stages.observed import Observation, Said
 from stages.taxonomy import load_taxonomy
 from stages.types import Cloud, Scan
 from tools.tables.scan_judging import ScanNetwork
+from tools.tables.world import MIN_RANGE_M
 
 
 def fused_evidence(
     observation: Observation, network: ScanNetwork | None, *, cameras: bool
 ) -> Cloud:
-    """Log scores of all points, of the network (None: it says nothing) times those of cameras."""
+    """Log scores of all points, of the network (None: it says nothing) times those of cameras;
+    nothing of the vehicle itself."""
     classes = len(load_taxonomy())
     one = observation
     if network is None:
@@ -32,6 +36,7 @@ def fused_evidence(
         sound = bound_rows(rows, classes)
         index = one.camera.index.astype(np.int64)
         accumulate(total, evidence, index, rows, sound, classes)
+    evidence &= has_return(as_input(one.points), MIN_RANGE_M)
     pose = one.map_from_sensor
     return Cloud(one.points, total, evidence, pose, one.sensor)
 

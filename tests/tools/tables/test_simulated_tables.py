@@ -106,6 +106,14 @@ def test_evidence_is_the_networks_times_the_cameras() -> None:
     assert kept.fused.index.tolist() == [0, 1, 2, 3]
 
 
+def test_of_the_vehicle_itself_nothing_is_said() -> None:
+    scan = judged([0, VEHICLE], [0], {0: PERSON})
+    scan.observation.points[0] = [1.0, 0.9, 0.0]  # a rotor
+    for network in (Network([PERSON, VEHICLE]), None):
+        cloud = fused_evidence(scan.observation, network, cameras=True)  # type: ignore[arg-type]
+        assert not cloud.evidence[0]
+
+
 def test_background_is_never_said() -> None:
     network = Network([0, 0, 0, 0, 0], sure=9.0)
     cloud = fused_evidence(SCAN.observation, network, cameras=False)  # type: ignore[arg-type]
