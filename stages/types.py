@@ -109,7 +109,7 @@ class Trajectory:
 class Cloud:
     """Points with class evidence, in the sensor's frame."""
 
-    points: NDArray[np.float32]  #: (n, 3) m
+    points: NDArray[np.float32]  #: (n, 3) m; no return as in `Scan`
     log_scores: NDArray[np.float32]  #: (n, CHANNELS) log scores up to a constant per point
     evidence: NDArray[np.bool_]  #: (n,) False: no source said anything of this point (unlabeled)
     map_from_sensor: (
