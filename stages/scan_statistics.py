@@ -10,6 +10,7 @@ import yaml
 from numpy.typing import NDArray
 
 from pipeline.errors import DataError
+from stages.kernels.channel_moments import adapted
 
 #: The statistics that come with Overflight.
 SHIPPED = Path(__file__).with_name("scan_statistics.yaml")
@@ -42,6 +43,14 @@ class ScanStatistics:
         if not lowest < highest:
             raise DataError(f"{file}: {sensor}: elevation_deg is [lowest, highest]")
         return cls((lowest, highest), mean, std)
+
+    def adapted_to(self, own: ScanStatistics, *, remission: bool = True) -> ScanStatistics:
+        """A network's statistics for the sensor whose own are given: see `adapted`."""
+        mean, std = (
+            adapted(getattr(self, name), getattr(own, name), remission=remission)
+            for name in ("mean", "std")
+        )
+        return ScanStatistics(own.elevation_rad, mean, std)
 
     def written_to(self, text: str, sensor: str, measured_on: str) -> str:
         """The text of a statistics file with the entry `sensor` added, or replaced where it is.

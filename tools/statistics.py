@@ -19,7 +19,7 @@ from rich.table import Table
 
 from pipeline.errors import DataError
 from pipeline.message import Message
-from stages.kernels.channel_moments import adapted, mean_and_std, moments
+from stages.kernels.channel_moments import mean_and_std, moments
 from stages.scan_image import RangeImage
 from stages.scan_statistics import SHIPPED, ScanStatistics
 from stages.sinks.whole_file import whole_file
@@ -83,7 +83,7 @@ def statistics_of(
     if not tally.moments[0, 0]:
         raise DataError(f"{recording}: has no scan with a return in the field of view")
     own = tally.statistics()
-    fitted = None if network is None else _fitted(network, own, remission=not keep_remission)
+    fitted = network and network.adapted_to(own, remission=not keep_remission)
     name = name or recording.stem
     told = [f"{recording.name}, {_count(tally.scans)}", *settings]
     if adapt is not None:
@@ -154,13 +154,6 @@ def _entry(name: str, output: Path | None) -> ScanStatistics:
         with suppress(DataError):
             return ScanStatistics.read(output, name)
     return ScanStatistics.read(SHIPPED, name)
-
-
-def _fitted(network: ScanStatistics, own: ScanStatistics, *, remission: bool) -> ScanStatistics:
-    """A network's statistics for the sensor whose own are given."""
-    mean = adapted(network.mean, own.mean, remission=remission)
-    std = adapted(network.std, own.std, remission=remission)
-    return ScanStatistics(own.elevation_rad, mean, std)
 
 
 def _held(output: Path | None) -> str:

@@ -100,3 +100,16 @@ def test_what_is_wrong_in_a_file_is_said(tmp_path: Path) -> None:
     }.items():
         with pytest.raises(DataError, match=said):
             read_back(f"own: {entry}", tmp_path, "own")
+
+
+def test_a_network_is_adapted_to_a_sensor_in_its_view_z_and_remission() -> None:
+    ones = np.ones(5, np.float32)
+    network, own = (
+        ScanStatistics((-0.4, 0.1), ones, ones),
+        ScanStatistics((-1, 1), 2 * ones, 3 * ones),
+    )
+    fitted = network.adapted_to(own)
+    assert fitted.elevation_rad == (-1, 1)
+    assert fitted.mean.tolist() == [1, 1, 1, 2, 2]
+    assert fitted.std.tolist() == [1, 1, 1, 3, 3]
+    assert network.adapted_to(own, remission=False).mean.tolist() == [1, 1, 1, 2, 1]

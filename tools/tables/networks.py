@@ -10,7 +10,6 @@ import numpy as np
 import yaml
 from rich.console import Console
 
-from stages.kernels.channel_moments import adapted
 from stages.kernels.compiled import as_input
 from stages.kernels.geometry import has_return
 from stages.observed import read_observation, write_observation
@@ -184,7 +183,8 @@ class Networks:
         return folder
 
     def _statistics(self) -> Path:
-        """The figures of the source, and of it fitted to flight A (in all, in z) and the views."""
+        """The figures of the source, and those adapted to flight A (in z alone too) and to the
+        views: meters count alike in all."""
         path = self._world.folder / "statistics.yaml"
         if path.is_file():
             return path
@@ -193,9 +193,9 @@ class Networks:
         target = _measured(iter([_Observed(self._world.observed("flight_a"))]))
         fitted = {
             SOURCE: source,
-            ADAPTED: _fitted(source, target),
-            HEIGHT: _fitted(source, target, remission=False),
-            VIEWS: _fitted(source, views),
+            ADAPTED: source.adapted_to(target),
+            HEIGHT: source.adapted_to(target, remission=False),
+            VIEWS: source.adapted_to(views),
         }
         text = ""
         for name, entry in fitted.items():
@@ -221,15 +221,6 @@ class _Observed:
         nothing = np.zeros(len(one.points), dtype=np.float32)
         remission = nothing if one.remission is None else one.remission
         return LabeledPoints(one.points, remission, nothing.astype(np.uint8), one.shape)
-
-
-def _fitted(
-    source: ScanStatistics, own: ScanStatistics, *, remission: bool = True
-) -> ScanStatistics:
-    """The source's figures with z and remission of other scans: meters count alike in all."""
-    mean = adapted(source.mean, own.mean, remission=remission)
-    std = adapted(source.std, own.std, remission=remission)
-    return ScanStatistics(ELEVATION_RAD, mean, std)
 
 
 def _measured(sources: Iterator[ScanSource]) -> ScanStatistics:

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from stages.types import Scan
 from tools.propagation.settings import Teacher
-from tools.tables.networks import Networks, _fitted, _measured
+from tools.tables.networks import Networks, _measured
 from tools.tables.plan import plans, scale_named
 from tools.tables.real import thinned
 from tools.tables.scan_judging import ScanNetwork, judge
@@ -118,19 +118,6 @@ def test_the_figures_of_a_sensor_are_those_of_returns_beyond_the_vehicle() -> No
     far, near, none = [[3.0, 4.0, 0], [0, 0, -5.0]], [0.2, 0.0, 0.3], [0.0, 0, 0]
     measured = _measured(iter([Scans([*far, near, none], [0.2, 0.4, 1.0, 0.9])]))
     np.testing.assert_allclose(measured.mean, [5.0, 1.5, 2.0, -2.5, 0.3], atol=1e-6)
-
-
-def test_other_scans_change_the_figures_of_height_and_remission_alone() -> None:
-    source = _measured(iter([Scans([[3.0, 4.0, 0], [0, 0, -5.0]], [0.2, 0.4])]))
-    own = _measured(iter([Scans([[30.0, 40.0, 9.0], [0, 0, -9.0]], [0.6, 0.8])]))
-    fitted = _fitted(source, own)
-    assert fitted.mean[:3].tolist() == source.mean[:3].tolist()
-    assert fitted.mean[3:].tolist() == own.mean[3:].tolist()
-    assert fitted.std[:3].tolist() == source.std[:3].tolist()
-    assert fitted.std[3:].tolist() == own.std[3:].tolist()
-    height = _fitted(source, own, remission=False)
-    assert height.mean.tolist() == [*fitted.mean[:4].tolist(), source.mean[4]]
-    assert height.std.tolist() == [*fitted.std[:4].tolist(), source.std[4]]
 
 
 def test_a_scan_is_split_into_thinner_ones_without_losing_a_point(tmp_path: Path) -> None:
