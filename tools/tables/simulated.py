@@ -35,7 +35,8 @@ FLIGHTS = {
 }
 WHY = (
     "read the paper's figures for their order: its world, its sensors and its 20,000 scans of "
-    "SemanticKITTI are others, and one set of weights sees both image sizes here"
+    "SemanticKITTI are others. One set of weights sees both image sizes here; and both LiDARs "
+    "report a material alike, so that intensity helps, and adapting its mean does not"
 )
 
 #: How a row is judged on a flight.
