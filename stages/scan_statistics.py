@@ -46,10 +46,8 @@ class ScanStatistics:
 
     def adapted_to(self, own: ScanStatistics, *, remission: bool = True) -> ScanStatistics:
         """A network's statistics for the sensor whose own are given: see `adapted`."""
-        mean, std = (
-            adapted(getattr(self, name), getattr(own, name), remission=remission)
-            for name in ("mean", "std")
-        )
+        mean = adapted(self.mean, own.mean, remission=remission)
+        std = adapted(self.std, own.std, remission=remission)
         return ScanStatistics(own.elevation_rad, mean, std)
 
     def written_to(self, text: str, sensor: str, measured_on: str) -> str:

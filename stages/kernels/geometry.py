@@ -132,14 +132,14 @@ def deskew(
     per_ns = (knots - 1) / max(last_ns - first_ns, 1)
     moved = np.empty_like(points)
     for i in range(len(points)):
-        position = (times_ns[i] - first_ns) * per_ns
-        knot = min(max(int(position), 0), knots - 2)
-        b = position - knot
-        a = 1.0 - b
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         if x == 0 and y == 0 and z == 0:
             moved[i] = 0
             continue
+        position = (times_ns[i] - first_ns) * per_ns
+        knot = min(max(int(position), 0), knots - 2)
+        b = position - knot
+        a = 1.0 - b
         for row in range(3):
             p = reference_from_sensor[knot, row]
             q = reference_from_sensor[knot + 1, row]

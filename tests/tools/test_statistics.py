@@ -35,27 +35,18 @@ class Walls(Source):
             points = np.array([[self.distance_m, 0, 1], [0, self.distance_m, -1]], np.float32)
             yield Message.at(k, Scan(points, None, None, None, "wall"))
 
+class Hull(Source):
+    def __init__(self, *, path: Path) -> None: ...
+    def messages(self) -> Iterator[Message[Scan]]:
+        points = np.array([[4, 0, 1], [0, 0.4, 0], [0, 4, -1]], np.float32)
+        yield Message.at(0, Scan(points, None, None, None, "lidar"))
+
 class Numbers(Source):
     def __init__(self, *, path: Path) -> None: ...
     def messages(self) -> Iterator[Message[int]]: ...
 
 class Anywhere(Source):
     def messages(self) -> Iterator[Message[Scan]]: ...
-"""
-
-HULL = """\
-from pathlib import Path
-from collections.abc import Iterator
-import numpy as np
-from pipeline.message import Message
-from pipeline.stage import Source
-from stages.types import Scan
-
-class Hull(Source):
-    def __init__(self, *, path: Path) -> None: ...
-    def messages(self) -> Iterator[Message[Scan]]:
-        points = np.array([[4, 0, 1], [0, 0.4, 0], [0, 4, -1]], np.float32)
-        yield Message.at(0, Scan(points, None, None, None, "lidar"))
 """
 
 
@@ -159,10 +150,9 @@ def test_remission_that_both_sensors_report_alike_may_stay_the_networks(
 
 
 def test_the_vehicle_itself_is_left_out_of_the_figures(
-    overflight: Overflight, tmp_path: Path
+    overflight: Overflight, own_source: str, tmp_path: Path
 ) -> None:
-    words = ("--source", "own_hull:Hull", "--json")
-    (tmp_path / "own_hull.py").write_text(HULL)
+    words = ("--source", own_source.replace("Walls", "Hull"), "--json")
     found = json.loads(overflight("statistics", tmp_path / "any", *words).out)
     assert found["channels"]["range"]["mean"] == pytest.approx(np.sqrt(17))
     assert found["points"] == 3
