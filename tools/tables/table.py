@@ -113,18 +113,27 @@ class Table:
         return "\n".join([*lines, "", *(f"- {one}" for one in self._remarks())]) + "\n"
 
     def show(self, console: Console) -> None:
-        """On a terminal."""
-        shown = RichTable(title=self.title, title_justify="left", box=None, padding=(0, 1, 0, 0))
-        shown.add_column(self.measure, overflow="fold")
-        for name in (*self.classes(), self.value, "spread", *["paper"] * self.of_the_paper):
-            shown.add_column(name, justify="right")
-        for line in self.lines:
-            cells = [_cell(line.of_class(name)) for name in self.classes()]
-            cells += [_cell(line.mean), _spread(line), *[_cell(line.paper)] * self.of_the_paper]
-            shown.add_row(line.title, *cells)
-        console.print(shown)
+        """On a terminal: without the classes where it is too narrow for them."""
+        whole = self._shown(self.classes())
+        needed = console.measure(whole, options=console.options.update(width=1000)).maximum
+        fits = needed <= console.width
+        console.print(whole if fits else self._shown([]))
+        if not fits:
+            told = f"- classes: in the .md file, or on a terminal of {needed} columns"
+            console.print(told, highlight=False)
         for remark in self._remarks():
             console.print(f"- {remark}", highlight=False, soft_wrap=True)
+
+    def _shown(self, classes: Sequence[str]) -> RichTable:
+        shown = RichTable(title=self.title, title_justify="left", box=None, padding=(0, 1, 0, 0))
+        shown.add_column(self.measure, overflow="fold")
+        for name in (*classes, self.value, "spread", *["paper"] * self.of_the_paper):
+            shown.add_column(name, justify="right")
+        for line in self.lines:
+            cells = [line.title, *(_cell(line.of_class(name)) for name in classes)]
+            cells += [_cell(line.mean), _spread(line), *[_cell(line.paper)] * self.of_the_paper]
+            shown.add_row(*cells)
+        return shown
 
     def _remarks(self) -> list[str]:
         remarks = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -91,7 +92,18 @@ def test_a_table_compares_the_order_with_the_papers() -> None:
     assert "- of the 3 pairs that the paper sets apart, 2 hold here" in page
     assert "- not here: best > better" in page
     assert "- best: with a reason" in page
-    table.show(Console(quiet=True))
+
+
+@pytest.mark.parametrize(("columns", "classes"), [(70, False), (80, True)])
+def test_a_narrow_terminal_gets_a_table_without_the_classes(columns: int, classes: bool) -> None:
+    title = "source + views + camera-only map, no intensity"
+    written = StringIO()
+    console = Console(file=written, width=columns)
+    Table("t", [Line(title, [verdict(30)])]).show(console)
+    shown = written.getvalue()
+    assert title in shown  # on one line
+    assert ("person" in shown) == classes
+    assert ("- classes: in the .md file" in shown) == (not classes)
 
 
 def test_a_table_that_the_paper_has_not_has_no_column_of_it() -> None:
