@@ -76,8 +76,6 @@ AsItIs = Annotated[
         "--as-it-is", help="Do not go on: write the files of what a stopped training has learned."
     ),
 ]
-
-
 Start = Annotated[
     Path | None,
     typer.Option(

@@ -92,6 +92,7 @@ def test_a_table_compares_the_order_with_the_papers() -> None:
     assert "- of the 3 pairs that the paper sets apart, 2 hold here" in page
     assert "- not here: best > better" in page
     assert "- best: with a reason" in page
+    table.show(Console(quiet=True))
 
 
 @pytest.mark.parametrize(("columns", "classes"), [(70, False), (80, True)])
