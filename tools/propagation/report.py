@@ -27,18 +27,16 @@ STYLE = (
 
 def print_report(report: Mapping[str, Any], console: Console) -> None:
     """The shares and where everything lies."""
-    table = Table(
-        box=None,
-        title="who labels which share of the returns; how much of it is right, IoU by class",
-        title_justify="left",
-    )
-    for column, *more in _rows(report)[:1]:
-        table.add_column(column, no_wrap=True)
-        for name in more:
-            table.add_column(name, justify="right")
-    for row in _rows(report)[1:]:
+    table = Table(box=None)
+    (column, *more), *rows = _rows(report)
+    table.add_column(column, no_wrap=True)
+    for name in more:
+        table.add_column(name, justify="right")
+    for row in rows:
         table.add_row(*row)
     if "teachers" in report:
+        judged = "; how much of it is right, IoU by class" if "right" in more else ""
+        console.print(f"who labels which share of the returns{judged}", soft_wrap=True)
         console.print(table)
     console.print(_sentence(report), highlight=False, soft_wrap=True)
 
